@@ -6,8 +6,9 @@ high-pass pictures itself. Points are always compared with real pictures, mostly
 Pictures count at their exact times: a point of a picture at time t lies on the way between the two moments around it.
 
 Where pictures show what stands behind instead of a node's points, or those of the rigid part that it belongs to, the
-node is lost. It is looked for again from other guesses: where it was, and carried along by what is around it; until it
-is found it is carried along.
+node is lost. What pictures seem to want of its points is then mostly chance, and would pull what is around, too: it
+only counts where all that hangs together is lost. It is looked for again from other guesses: where it was, and carried
+along by what is around it; until it is found it is carried along.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -62,6 +63,7 @@ class Follower:
         self.poses = [Pose.rest(len(graph.nodes))]
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
         self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
+        self.things = _pieces(graph.edges, len(graph.nodes))
         self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
         self.nodes_lost = [self.lost_nodes]  # at each moment
         self.sought = np.full(len(graph.nodes), -SEEK_EVERY)  # moment at which a node was last sought in vain
@@ -79,7 +81,7 @@ class Follower:
         expected = self.carried(graph.rigid(_ahead(*[self.poses[0], *self.poses][-2:])), self.lost_nodes)
         found = expected
         if len(shots) >= FEWEST_CAMERAS:
-            found = self.found(shots, expected, SIGMAS)
+            found = self.found(shots, expected, SIGMAS, believed=self._believed())
             likeness = self.likeness(shots, found)
             self.lost_nodes = self._lost(likeness)
             self._time(shots, found)
@@ -151,8 +153,17 @@ class Follower:
         expected: Pose,
         rounds: Sequence[tuple[float, float]],
         asked: Bool[np.ndarray, " p"] | None = None,
+        believed: Bool[np.ndarray, " p"] | None = None,
     ) -> Pose:
-        """The pose that explains the pictures, near the one that is expected; of points that are asked about."""
+        """The pose that explains the pictures, near the one that is expected.
+
+        Args:
+            shots: Of one moment.
+            expected: From where it begins.
+            rounds: Blur of pictures, in pixels, each time the prediction is drawn anew.
+            asked: Only what is around these points is looked at.
+            believed: What pictures want of other points does not count.
+        """
         graph, surface, now, found = self.graph, self.surface, self.xyz[-1], expected
         for sigmas in rounds:
             xyz = graph.points(found)
@@ -166,7 +177,7 @@ class Follower:
                 pulls = Sum(len(surface))
                 for shot in shots:
                     shot.pull(now + shot.share * (xyz - now), pulls)
-                found = step(graph, found, expected, pulls.all())
+                found = step(graph, found, expected, pulls.of(believed))
         return found
 
     def _time(self, shots: Sequence[Shot], found: Pose) -> None:
@@ -224,6 +235,11 @@ class Follower:
         sums = np.stack([np.bincount(graph.parts, of_nodes)[graph.parts] for of_nodes in sums])
         return np.where(sums[1] > TELLING, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
 
+    def _believed(self) -> Bool[np.ndarray, " p"]:
+        """Points that are not lost, and those of things that are lost as a whole."""
+        seen = np.bincount(self.things, ~self.lost_nodes)[self.things] > 0
+        return ~self._points(self.lost_nodes & seen)
+
     def _points(self, nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " p"]:
         """Points that mostly follow some nodes."""
         return (self.graph.weights * nodes[self.graph.followed]).sum(1) > 0.5
@@ -236,9 +252,7 @@ class Follower:
         """Lost nodes that are neighbours, or of one part."""
         first = np.unique(self.graph.parts, return_index=True)[1][self.graph.parts]
         pairs = np.vstack([self.graph.edges, np.stack([np.arange(len(lost)), first], 1)])
-        a, b = pairs[lost[pairs].all(1)].T
-        links = coo_matrix((np.ones(len(a)), (a, b)), shape=(len(lost), len(lost)))
-        piece = connected_components(links, directed=False)[1]
+        piece = _pieces(pairs[lost[pairs].all(1)], len(lost))
         for number in np.unique(piece[lost]):
             yield np.flatnonzero(lost & (piece == number))
 
@@ -273,6 +287,12 @@ class Follower:
     def _stopped(self, pose: Pose) -> Pose:
         """The pose with what is lost where it was."""
         return _with(pose, self.poses[-1], np.flatnonzero(self.lost_nodes))
+
+
+def _pieces(pairs: Int[np.ndarray, "k 2"], nodes: int) -> Int[np.ndarray, " n"]:
+    """The number of the piece of each node, where pairs hang together."""
+    links = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(nodes, nodes))
+    return connected_components(links, directed=False)[1]
 
 
 def _more(liked: Float[np.ndarray, " k"], before: Float[np.ndarray, " k"]) -> float:

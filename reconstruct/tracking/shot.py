@@ -37,9 +37,10 @@ class Sum:
         self.hessian[points] += np.einsum("mra,mrb->mab", jacobian, weighted)
         self.gradient[points] += np.einsum("mra,mr->ma", weighted, residual)
 
-    def all(self) -> Pulls:
-        """What all of them want."""
-        return Pulls(self.hessian, self.gradient)
+    def of(self, points: Bool[np.ndarray, " p"] | None = None) -> Pulls:
+        """What some of the points want; None: all of them."""
+        counts = np.ones(len(self.gradient)) if points is None else points.astype(float)
+        return Pulls(self.hessian * counts[:, None, None], self.gradient * counts[:, None])
 
 
 @dataclass

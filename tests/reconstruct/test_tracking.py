@@ -219,6 +219,31 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
         assert len(np.unique(right)) == 2 and np.isfinite(right).all()
 
 
+def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(films: list[Film]) -> None:
+    surface, card = on_cards()
+    graph = Graph(surface)
+    true = true_tracks(surface, card, np.array([0.625]))[0]
+    with ThreadPoolExecutor(1) as pool:
+        follower = Follower(
+            surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool
+        )
+        follower.lost_nodes = graph.nodes[:, 0] > CENTRES[1, 0]
+        lost = follower._points(follower.lost_nodes)
+        assert (follower._believed() == ~lost).all()
+        shots = follower.shots(1)
+        for shot in shots:  # of what is lost they show something else
+            known = shot.templates
+            known.at[lost] = known.at[lost][::-1]
+        wrong = []
+        for believed in (follower._believed(), None):
+            found = follower.found(shots, Pose.rest(len(graph.nodes)), FARTHER, believed=believed)
+            wrong.append(np.linalg.norm(graph.points(found) - true, axis=-1)[(card == 1) & ~lost])
+        counted, pulled = (np.quantile(x, 0.9) for x in wrong)
+        assert counted < 0.01 < pulled
+        follower.lost_nodes = graph.nodes[:, 0] > 0  # all of a card: nothing hangs on it
+        assert follower._believed().all()
+
+
 def test_what_one_camera_films_alone_goes_on_as_it_went(films: list[Film]) -> None:
     surface, _ = on_cards()
     graph = Graph(surface)
