@@ -240,6 +240,9 @@ def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(
             wrong.append(np.linalg.norm(graph.points(found) - true, axis=-1)[(card == 1) & ~lost])
         counted, pulled = (np.quantile(x, 0.9) for x in wrong)
         assert counted < 0.01 < pulled
+        follower.found = Mock(wraps=follower.found)
+        follower.go_on(1)
+        assert (follower.found.call_args_list[0].kwargs["believed"] == ~lost).all()
         follower.lost_nodes = graph.nodes[:, 0] > 0  # all of a card: nothing hangs on it
         assert follower._believed().all()
 
