@@ -7,8 +7,8 @@ Pictures count at their exact times: a point of a picture at time t lies on the 
 
 Where pictures show what stands behind instead of a node's points, or those of the rigid part that it belongs to, the
 node is lost. What pictures seem to want of its points is then mostly chance, and would pull what is around, too: it
-only counts where all that hangs together is lost. It is looked for again from other guesses: where it was, and carried
-along by what is around it; until it is found it is carried along.
+only counts where all that hangs together is lost. The node is looked for again from other guesses: where it was, and
+carried along by what is around it; until it is found it is carried along.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -161,8 +161,8 @@ class Follower:
             shots: Of one moment.
             expected: From where it begins.
             rounds: Blur of pictures, in pixels, each time the prediction is drawn anew.
-            asked: Only what is around these points is looked at.
-            believed: What pictures want of other points does not count.
+            asked: Only what is around these points is looked at; None: all pictures.
+            believed: What pictures want of other points does not count; None: all count.
         """
         graph, surface, now, found = self.graph, self.surface, self.xyz[-1], expected
         for sigmas in rounds:

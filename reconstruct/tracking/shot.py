@@ -39,8 +39,9 @@ class Sum:
 
     def of(self, points: Bool[np.ndarray, " p"] | None = None) -> Pulls:
         """What some of the points want; None: all of them."""
-        counts = np.ones(len(self.gradient)) if points is None else points.astype(float)
-        return Pulls(self.hessian * counts[:, None, None], self.gradient * counts[:, None])
+        if points is None:
+            return Pulls(self.hessian, self.gradient)
+        return Pulls(self.hessian * points[:, None, None], self.gradient * points[:, None])
 
 
 @dataclass
