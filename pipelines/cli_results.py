@@ -152,7 +152,7 @@ def render(
         str | None, typer.Option(help="Put the true pictures of this camera on the left")
     ] = None,
     without: Annotated[
-        str | None, typer.Option(help="Leave out rigid parts, by their numbers in the report: 2 or 1,3")
+        str | None, typer.Option(help="Leave out parts that move, by their numbers in the report: 2 or 1,3")
     ] = None,
     film_format: Annotated[
         str | None,

@@ -1,4 +1,4 @@
-"""Small corrections of where rigid parts are, learned from pictures together with how they look."""
+"""Small corrections of where parts are, learned from pictures together with how they look."""
 
 import math
 from dataclasses import replace
@@ -8,15 +8,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from devrf.reconstruct.grids import vertices
-from devrf.reconstruct.movers import Movers, Placed
+from devrf.reconstruct.movers import Movers, Placed, symmetric
 
 
 class Corrections(torch.nn.Module):
-    """For each part at each moment a turn about its middle and a shift; linear between moments.
+    """For each part at each moment a turn about its middle, a shift and a stretch; linear between moments.
 
     Attributes:
-        values: Turns, as rotation vectors times the radius of the part, and shifts [T, M, 6]; both in box units, so
-            that one rate of learning fits all.
+        values: Turns, as rotation vectors times the radius of the part, and shifts; where parts are soft also what is
+            added to their stretches, the entries `UPPER` times the radius [T, M, 6 or 12]. All in box units, so that
+            one rate of learning fits all.
     """
 
     def __init__(self, movers: Movers, times: Float[Tensor, " F"]) -> None:
@@ -28,7 +29,8 @@ class Corrections(torch.nn.Module):
         """
         super().__init__()
         device = times.device
-        self.values = torch.nn.Parameter(torch.zeros(*movers.shifts.shape[:2], 6, device=device))
+        numbers = 6 if movers.stretches is None else 12
+        self.values = torch.nn.Parameter(torch.zeros(*movers.shifts.shape[:2], numbers, device=device))
         self.middles = torch.from_numpy(movers.middles()).float().to(device)
         self.radii = _radii(movers).to(device)[:, None]
         self.pictures = movers.placed(times)
@@ -45,15 +47,19 @@ class Corrections(torch.nn.Module):
     @torch.no_grad()
     def applied(self, movers: Movers) -> Movers:
         """The movers with the corrections at their moments."""
-        there = Placed(*(x.to(self.values) for x in (movers.rotations, movers.shifts, movers.times)))
-        rotations, shifts, _ = self._corrected(there, self.values)
-        return replace(movers, rotations=rotations.cpu(), shifts=shifts.cpu())
+        placed = self._corrected(movers.at_moments(self.values.device), self.values)
+        stretches = None if placed.stretches is None else placed.stretches.cpu()
+        return replace(
+            movers, rotations=placed.rotations.cpu(), shifts=placed.shifts.cpu(), stretches=stretches
+        )
 
-    def _corrected(self, placed: Placed, values: Float[Tensor, "F M 6"]) -> Placed:
-        middles = torch.einsum("fmij,mj->fmi", placed.rotations, self.middles) + placed.shifts
-        rotations = rotation(values[..., :3] / self.radii) @ placed.rotations
-        shifts = middles + values[..., 3:] - torch.einsum("fmij,mj->fmi", rotations, self.middles)
-        return Placed(rotations, shifts, placed.times)
+    def _corrected(self, placed: Placed, values: Float[Tensor, "F M n"]) -> Placed:
+        middles = torch.einsum("fmij,mj->fmi", placed.forth, self.middles) + placed.shifts
+        turned = placed._replace(rotations=rotation(values[..., :3] / self.radii) @ placed.rotations)
+        if placed.stretches is not None:
+            turned = turned._replace(stretches=placed.stretches + symmetric(values[..., 6:] / self.radii))
+        shifts = middles + values[..., 3:6] - torch.einsum("fmij,mj->fmi", turned.forth, self.middles)
+        return turned._replace(shifts=shifts)
 
 
 def rotation(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:

@@ -26,7 +26,7 @@ from devrf.reconstruct.grids import grown
 from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.movers import Movers
+from devrf.reconstruct.movers import UPPER, Movers, symmetric
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.packing import (
     bits_of,
@@ -101,6 +101,8 @@ def save_movers(path: Path, model: DynamicModel) -> None:
         "keys": model.motion.keys,
         "rest_time": model.motion.key_times[model.motion.rest_key or 0],
     }
+    if movers.stretches is not None:
+        tensors["movers.stretches"] = movers.stretches[:, :, UPPER[0], UPPER[1]]
     if movers.shading is not None:
         light = movers.shading
         meta["shading"] = {"t_first": light.t_first, "t_last": light.t_last, "shape": light.grid.shape[1:]}
@@ -151,6 +153,7 @@ def load_movers(path: Path, rest: RestModel, device: str = "cpu") -> DynamicMode
             torch.from_numpy(rotations).float(),
             tensors["movers.shifts"].cpu(),
             light,
+            symmetric(tensors["movers.stretches"].cpu()) if "movers.stretches" in tensors else None,
         )
         keys, rest_time = int(meta["keys"]), float(meta["rest_time"])
         still = replace(rest, canonical=stands, shell=None, metrics={})

@@ -1,8 +1,9 @@
-"""What moves, apart from what stands: rigid parts of the scene at rest, each with its own motion.
+"""What moves, apart from what stands: parts of the scene at rest, each with its own motion.
 
 sigma(x, t) = sigma_stands(x) + sum over parts of sigma_part(x taken back by the part's motion). A ray is turned into
 each part's own frame and marched there; all samples are then sorted along the ray and composited once, so nothing
-blends across parts. Where two parts meet, both hold the voxels next to the border: a joint has no seam.
+blends across parts. Where two parts meet, both hold the voxels next to the border: a joint has no seam. A rigid part
+turns and goes; a soft one stretches, too.
 """
 
 from collections.abc import Callable, Collection
@@ -27,6 +28,10 @@ from devrf.reconstruct.shading import Shading
 
 COUNTS = 1e-3  # weight from which a sample has a colour
 FARTHEST = 1e4  # box units: farther than any sample
+UPPER = (
+    (0, 0, 0, 1, 1, 2),
+    (0, 1, 2, 1, 2, 2),
+)  # rows and columns of the six entries that tell a symmetric matrix
 
 Grads = tuple[Tensor | None, Tensor | None, Tensor | None, Tensor | None]
 """Buffers for the gradient: density and features of what stands, then of what moves."""
@@ -37,13 +42,29 @@ class Placed(NamedTuple):
     """Where parts are in some pictures.
 
     Attributes:
-        rotations, shifts: A point x of part m at rest is at R x + t in picture f.
+        rotations, shifts: A point x of part m at rest is at R S x + t in picture f.
         times: Of the pictures, in [0, 1].
+        stretches: S, symmetric; None: the identity, all parts are rigid.
     """
 
     rotations: Float[Tensor, "F M 3 3"]
     shifts: Float[Tensor, "F M 3"]
     times: Float[Tensor, " F"]
+    stretches: Float[Tensor, "F M 3 3"] | None = None
+
+    @property
+    def forth(self) -> Float[Tensor, "F M 3 3"]:
+        """R S: from rest."""
+        return self.rotations if self.stretches is None else self.rotations @ self.stretches
+
+    @property
+    def back(self) -> Float[Tensor, "F M 3 3"]:
+        """Its inverse: to rest."""
+        if self.stretches is None:
+            return self.rotations.mT
+        return (
+            torch.linalg.inv_ex(self.stretches)[0] @ self.rotations.mT
+        )  # no check, for which a GPU would wait
 
 
 class Layered(NamedTuple):
@@ -66,15 +87,16 @@ class Layered(NamedTuple):
 
 @dataclass
 class Movers:
-    """Rigid parts and their motion.
+    """Parts and their motion.
 
     Attributes:
         canonical: Density and features of all parts at rest, empty elsewhere, on the grid of the scene at rest. Its MLP
             is that of what stands.
         labels: Part of each vertex, counted from 1; 0 stands.
         times: Moments of the motion, in the scene's time of [0, 1], rising and evenly spaced; on the CPU.
-        rotations, shifts: At these moments, on the CPU: a point x at rest is at R x + t.
+        rotations, shifts: At these moments, on the CPU: a point x at rest is at R S x + t.
         shading: How brightness changes; None: not at all.
+        stretches: S of the parts at these moments, symmetric, the identity for rigid ones; on the CPU. None: all are.
     """
 
     canonical: Canonical
@@ -83,6 +105,7 @@ class Movers:
     rotations: Float[Tensor, "T M 3 3"]
     shifts: Float[Tensor, "T M 3"]
     shading: Shading | None = None
+    stretches: Float[Tensor, "T M 3 3"] | None = None
     _volumes: list[Volume | None] | None = field(default=None, repr=False)
     _middles: np.ndarray | None = field(default=None, repr=False)
     _distances: list[tuple[Tensor, Tensor]] | None = field(default=None, repr=False)
@@ -91,6 +114,10 @@ class Movers:
     def parts(self) -> int:
         """How many."""
         return self.rotations.shape[1]
+
+    def stretched(self) -> Float[Tensor, "T M 3 3"]:
+        """The stretches, also where all parts are rigid."""
+        return torch.eye(3).expand_as(self.rotations) if self.stretches is None else self.stretches
 
     def unshaded(self) -> "Movers":
         """The same in constant light."""
@@ -101,18 +128,23 @@ class Movers:
         asked = torch.tensor(sorted(parts), dtype=torch.uint8, device=self.labels.device)
         kept = torch.isin(self.labels, asked)
         own, labels = self.canonical.only(kept), torch.where(kept, self.labels, 0)
-        return Movers(own, labels, self.times, self.rotations, self.shifts, self.shading)
+        return Movers(own, labels, self.times, self.rotations, self.shifts, self.shading, self.stretches)
 
     def still(self) -> "Movers":
         """The same if nothing moved, in the same light."""
         turns = torch.eye(3).expand_as(self.rotations).contiguous()
-        return replace(self, rotations=turns, shifts=torch.zeros_like(self.shifts))
+        return replace(self, rotations=turns, shifts=torch.zeros_like(self.shifts), stretches=None)
 
     def at_rest(self, time: Float[Tensor, "1"]) -> Placed:
         """Where nothing has moved, in the light of a time."""
         device = self.canonical.density.device
         turn = torch.eye(3, device=device).expand(1, self.parts, 3, 3)
         return Placed(turn, torch.zeros(1, self.parts, 3, device=device), time.to(device))
+
+    def at_moments(self, device: torch.device) -> Placed:
+        """Where the parts are at the moments of the motion."""
+        stretches = None if self.stretches is None else self.stretches.to(device)
+        return Placed(self.rotations.to(device), self.shifts.to(device), self.times.to(device), stretches)
 
     def middles(self) -> Float[np.ndarray, "M 3"]:
         """Of the parts at rest."""
@@ -136,17 +168,20 @@ class Movers:
         before, share = (x.cpu().numpy() for x in self.between(times))
         share = share[:, None]
         R, t, middles = self.rotations.double().numpy(), self.shifts.double().numpy(), self.middles()
+        S = self.stretched().double().numpy()
         turn = R[before + 1] @ R[before].transpose(0, 1, 3, 2)
         turned = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec().reshape(*turn.shape[:3])
         turned = Rotation.from_rotvec((share[..., None] * turned).reshape(-1, 3)).as_matrix()
         rotations = turned.reshape(turn.shape) @ R[before]
-        place = np.einsum("tmij,mj->tmi", R, middles) + t
+        place = np.einsum("tmij,mj->tmi", R @ S, middles) + t
         there = place[before] + share[..., None] * (place[before + 1] - place[before])
-        shifts = there - np.einsum("fmij,mj->fmi", rotations, middles)
+        stretches = S[before] + share[..., None, None] * (S[before + 1] - S[before])
+        shifts = there - np.einsum("fmij,mj->fmi", rotations @ stretches, middles)
         return Placed(
             torch.from_numpy(rotations).float().to(device),
             torch.from_numpy(shifts).float().to(device),
             times.to(device),
+            None if self.stretches is None else torch.from_numpy(stretches).float().to(device),
         )
 
     def to_rest(
@@ -159,7 +194,8 @@ class Movers:
             placed: Where the parts are.
             within: Voxels from a part in which points are taken for its own.
         """
-        return self._nearest(within, x, lambda m: (x - placed.shifts[0, m]) @ placed.rotations[0, m])
+        back = placed.back[0]
+        return self._nearest(within, x, lambda m: (x - placed.shifts[0, m]) @ back[m].mT)
 
     def part_of(self, x_rest: Float[Tensor, "n 3"], within: int = 1) -> Int[Tensor, " n"]:
         """The part of resting points."""
@@ -169,8 +205,8 @@ class Movers:
         self, x_rest: Float[Tensor, "n 3"], part: Int[Tensor, " n"], placed: Placed
     ) -> Float[Tensor, "n 3"]:
         """Where resting points of parts are in the first picture of `placed`; those of part 0 stand."""
-        R, t = placed.rotations[0, part - 1], placed.shifts[0, part - 1]
-        return torch.where((part > 0)[:, None], torch.einsum("nij,nj->ni", R, x_rest) + t, x_rest)
+        forth, t = placed.forth[0, part - 1], placed.shifts[0, part - 1]
+        return torch.where((part > 0)[:, None], torch.einsum("nij,nj->ni", forth, x_rest) + t, x_rest)
 
     def motion(self, keys: int, rest_time: float, resolution: float) -> MotionField:
         """The same motion as fields: exact at vertices on a part or next to one, none elsewhere.
@@ -199,11 +235,12 @@ class Movers:
         """The box of the scene at rest and all places at which parts ever are; on the CPU."""
         places = vertices(self.canonical.aabb, self.canonical.shape)
         corners = [self.canonical.aabb]
+        forth = self.rotations @ self.stretched()
         for m in range(self.parts):
             own = places[self.labels.cpu() == m + 1]
             if len(own):
                 ends = torch.cartesian_prod(*torch.stack([own.amin(0), own.amax(0)], dim=1))
-                corners.append((ends @ self.rotations[:, m].mT + self.shifts[:, m, None]).reshape(-1, 3))
+                corners.append((ends @ forth[:, m].mT + self.shifts[:, m, None]).reshape(-1, 3))
         every = torch.cat(corners)
         return torch.stack([every.amin(0), every.amax(0)])
 
@@ -275,6 +312,12 @@ class Movers:
             k.alpha_threshold,
             k.weight_threshold,
         )
+
+
+def symmetric(entries: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
+    """Symmetric matrices of their entries `UPPER`; differentiable."""
+    xx, xy, xz, yy, yz, zz = entries.unbind(-1)
+    return torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).unflatten(-1, (3, 3))
 
 
 def _around(own: Bool[Tensor, "X Y Z"], margin: int) -> tuple[Tensor, Tensor, tuple[slice, ...]]:
@@ -367,11 +410,11 @@ def _taken_back(
 ) -> Float[Tensor, "s 3"]:
     """Where samples of parts rest, once more by `placed`, so that gradients reach it; the others as they are."""
     moved = (part > 0).nonzero()[:, 0]
-    every = torch.cat([placed.rotations.flatten(2), placed.shifts], dim=2)
+    every = torch.cat([placed.back.flatten(2), placed.shifts], dim=2)
     key = frame[moved] * every.shape[1] + part[moved] - 1
     # gather's gradient adds up in the same order each time; that of an index does not.
     mine = every.flatten(0, 1).gather(0, key[:, None].expand(-1, 12))
-    rested = torch.einsum("sij,si->sj", mine[:, :9].unflatten(1, (3, 3)), now[moved] - mine[:, 9:])
+    rested = torch.einsum("sij,sj->si", mine[:, :9].unflatten(1, (3, 3)), now[moved] - mine[:, 9:])
     return x.index_put((moved,), rested)
 
 
@@ -393,16 +436,18 @@ def _samples(
         segments = segments_in(volume.aabb, None, o.contiguous(), d.contiguous(), near, jitter)
         samples: Samples = march(segments, volume)
         ray_id = samples.ray_id.long()
+        towards = d if placed.stretches is None else F.normalize(d, dim=1)
         out.append(
-            (points_on(segments, samples), ray_id, samples.t, torch.full_like(ray_id, part), d[ray_id])
+            (points_on(segments, samples), ray_id, samples.t, torch.full_like(ray_id, part), towards[ray_id])
         )
 
     add(stands.volume(), 0, rays_o, rays_d)
+    back = placed.back
     for number, volume in enumerate(movers.volumes()):
         if volume is not None:
-            back = placed.rotations[frame, number].transpose(1, 2)
-            o = torch.einsum("rij,rj->ri", back, rays_o - placed.shifts[frame, number])
-            add(volume, number + 1, o, torch.einsum("rij,rj->ri", back, rays_d))
+            mine = back[frame, number]
+            o = torch.einsum("rij,rj->ri", mine, rays_o - placed.shifts[frame, number])
+            add(volume, number + 1, o, torch.einsum("rij,rj->ri", mine, rays_d))
     x, ray_id, t, part, d = (torch.cat(parts) for parts in zip(*out, strict=True))
     order = torch.argsort(ray_id.double() * FARTHEST + t.double())
     return x[order], ray_id[order], t[order], part[order], d[order]

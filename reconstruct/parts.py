@@ -119,7 +119,7 @@ PARTS: tuple[Part, ...] = (
     Part("exact_times", "motion", "pictures between key times, at their own times", _times_of_keys),
     Part("fine_tuning", "motion", "the scene at rest follows all pictures", _motion(fine_tuning=0)),
     Part("motion_adapt", "motion", "key times and levels by the scene", _motion(adapt=False)),
-    Part("movers", "motion", "rigid parts are tracked, and trained with what stands", _motion(together=0), _around),
+    Part("movers", "motion", "parts are tracked, and trained with what stands", _motion(together=0), _around),
     Part("one_camera", "motion", "each step draws from one camera, as published", _motion(one_camera=False)),
     Part("motion_rate", "motion", "learning rate; without: the published one",
          _motion(**_published(MotionOptions, "lr"))),

@@ -154,7 +154,7 @@ def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: P
 
 
 def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progress: Progress) -> _Made:
-    """What stands, and each rigid part on a node that moves exactly as the model does, at all its moments."""
+    """What stands, and each part on a node that moves as it does in the model, at all its moments."""
     import torch
 
     from devrf.reconstruct.geometry.field import Field, field_at
@@ -196,18 +196,22 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
         times_s,
         crumbs,
         np.concatenate([mesh.vertices for mesh in meshes] + list(shapes)),
-        f"what stands, and {movers.parts} rigid parts, each a mesh of its own on a node that turns and goes",
+        f"what stands, and {movers.parts} parts, each a mesh of its own on a node that turns and goes"
+        + ("" if movers.stretches is None else "; how soft parts stretch is left out"),
         {"parts": movers.parts, "forward_motion": _agreement(trained, misses)},
     )
 
 
 def _ways(trained: Trained, movers: "Movers", times: "Tensor") -> list[gltf.Way]:
-    """Of the parts, in the world. They turn about their middles, as they do between the moments of the model."""
+    """Of the parts, in the world. They turn about their middles, as they do between the moments of the model.
+
+    Nodes cannot shear: how a soft part stretches is left out.
+    """
     placed = movers.placed(times)
-    rotations, shifts = (x.double().cpu().numpy() for x in (placed.rotations, placed.shifts))
+    every = (x.double().cpu().numpy().swapaxes(0, 1) for x in (placed.rotations, placed.forth, placed.shifts))
     turn, out = trained.world_from_box[:3, :3] / trained.scale, []
-    for middle, R, t in zip(movers.middles(), rotations.swapaxes(0, 1), shifts.swapaxes(0, 1), strict=True):
-        places = trained.to_world(np.einsum("kij,j->ki", R, middle) + t)
+    for middle, R, forth, t in zip(movers.middles(), *every, strict=True):
+        places = trained.to_world(np.einsum("kij,j->ki", forth, middle) + t)
         out.append(gltf.Way(trained.to_world(middle[None])[0], turn @ R @ turn.T, places))
     return out
 

@@ -33,8 +33,8 @@ FILES = {
 }
 
 PARTS = (
-    " What moves is rigid parts: parts has labels (on the grid of rest, from 1; 0 stands), rotations and shifts (first "
-    "axes: moment, part; in the box frame): what rests at x is at R x + t."
+    " What moves is parts: parts has labels (on the grid of rest, from 1; 0 stands), rotations, stretches and shifts "
+    "(first axes: moment, part; in the box frame): what rests at x is at R S x + t; S of a rigid part is the identity."
 )
 
 Volume = dict[str, np.ndarray]
@@ -85,7 +85,11 @@ def _volumes(trained: Trained) -> Iterator[tuple[str, tuple[int, int] | None, Vo
     motion, movers = model.motion, model.movers
     yield "motion", None, {"backward": motion.backward.cpu().numpy(), "forward": motion.forward.cpu().numpy()}
     if movers is not None:
-        courses = {"rotations": movers.rotations.numpy(), "shifts": movers.shifts.numpy()}
+        courses = {
+            "rotations": movers.rotations.numpy(),
+            "stretches": movers.stretched().numpy(),
+            "shifts": movers.shifts.numpy(),
+        }
         yield "parts", None, {"labels": movers.labels.cpu().numpy(), **courses}
 
 

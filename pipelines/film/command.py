@@ -122,12 +122,12 @@ def _make(
 
 
 def _showing(model: "DynamicModel", without: tuple[int, ...]) -> "DynamicModel":
-    """The model without some of its rigid parts."""
+    """The model without some of its parts."""
     if not without:
         return model
     said = f"--without {','.join(map(str, without))}"
     if model.movers is None:
-        raise InputError("option-misplaced", f"{said}: what moves in this scene is not made of rigid parts")
+        raise InputError("option-misplaced", f"{said}: what moves in this scene is not made of parts")
     count = model.movers.parts
     if max(without) > count:
         text = f"{said}: expected parts of 1 to {count}; the report lists them"

@@ -79,7 +79,7 @@ class Controls:
                 "of the box",
                 (EVERYTHING,),
                 visible=False,
-                hint="What stands, or one of the rigid parts that move",
+                hint="What stands, or one of the parts that move",
             )
             self._note = gui.add_markdown("", visible=False)
         with gui.add_folder("In the scene"):

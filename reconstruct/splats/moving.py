@@ -1,4 +1,7 @@
-"""Where splats of the scene at rest are at a time: they move by the forward field, or on a node for each rigid part."""
+"""Where splats of the scene at rest are at a time: they move by the forward field, or on a node for each part.
+
+A node turns and goes; how a soft part stretches is left out.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -46,7 +49,7 @@ class Nodes:
             if time is not None:
                 placed = model.movers.placed(torch.tensor([time]))
                 quats[key, 1:] = quats_of(placed.rotations[0])
-                turned = torch.einsum("pij,pj->pi", placed.rotations[0], self.middles[1:])
+                turned = torch.einsum("pij,pj->pi", placed.forth[0], self.middles[1:])
                 places[key, 1:] = turned + placed.shifts[0]
         return replace(self, quats=quats, places=places)
 

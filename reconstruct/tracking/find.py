@@ -1,6 +1,6 @@
 """From a scene at rest and its fixed cameras to rigid parts, their motion, and the voxels that are theirs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,6 +28,7 @@ from devrf.reconstruct.tracking.hidden import fill, hidden_at_rest, labels_of_hi
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
+from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.surface import Surface, surface_at_rest, views_at_rest
 from devrf.reconstruct.training_log import TrainingLog
 
@@ -63,6 +64,16 @@ class Found:
     stands: Canonical
     movers: Movers
     offsets_s: dict[str, float]
+
+    def softened(self) -> "Found":
+        """The same, but parts may also stretch."""
+        voxel = self.movers.canonical.voxel
+        motions = [
+            soft_motion_of(*part, voxel) for part in _each_part(self.surface, self.tracks, self.labels)
+        ]
+        every = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
+        R, S, t = (torch.from_numpy(x).float() for x in every)
+        return replace(self, movers=replace(self.movers, rotations=R, stretches=S, shifts=t))
 
     def told(self, box_from_world: Float[np.ndarray, "4 4"]) -> list[dict[str, Any]]:
         """Of each part its number, where it rests, its points, how far they go and how long it is lost.
@@ -227,10 +238,7 @@ def movers_of(
     labels: Int[np.ndarray, " p"],
 ) -> Movers:
     """Parts with the rigid motions that explain their points' tracks: the region's vertices, and hidden ones."""
-    motions = [
-        motion_of(surface.xyz[mine], tracks.xyz[:, mine].astype(float), tracks.lost[:, mine])
-        for mine in (labels == m for m in range(labels.max() + 1))
-    ]
+    motions = [motion_of(*of_part) for of_part in _each_part(surface, tracks, labels)]
     rotations, shifts = (np.stack(parts, axis=1) for parts in zip(*motions, strict=True))
     of_vertex = torch.zeros(canonical.shape, dtype=torch.uint8, device=canonical.density.device)
     places = vertices(canonical.aabb, canonical.shape)[region.cpu()].numpy()
@@ -241,6 +249,15 @@ def movers_of(
     fill(own, region, (of_vertex > 0) & ~region)
     times, R, t = (torch.from_numpy(x).float() for x in (tracks.times, rotations, shifts))
     return Movers(own, of_vertex, times, R, t)
+
+
+def _each_part(
+    surface: Surface, tracks: Tracks, labels: Int[np.ndarray, " p"]
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each part its points at rest, where they are, and when they are lost."""
+    for m in range(labels.max() + 1):
+        mine = labels == m
+        yield surface.xyz[mine], tracks.xyz[:, mine].astype(float), tracks.lost[:, mine]
 
 
 def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[Tensor, "X Y Z"]:

@@ -35,16 +35,23 @@ def motion_of(
     lost: Bool[np.ndarray, "t p"] | None = None,
 ) -> Motions:
     """The rigid motion that explains tracks best (Kabsch 1976); lost points count where few others are left."""
-    counts = np.ones(tracks.shape[:2])
-    if lost is not None:
-        counts = np.where((~lost).sum(1, keepdims=True) >= FEWEST, ~lost, counts)
-    weights = counts / counts.sum(1, keepdims=True)
+    weights = weights_of(tracks, lost)
     middle, middles = weights @ rest, np.einsum("tp,tpi->ti", weights, tracks)
     turned = (weights[..., None] * (rest - middle[:, None])).mT @ (tracks - middles[:, None])
     U, _, V = np.linalg.svd(turned)
     U[:, :, 2] *= np.sign(np.linalg.det(U @ V))[:, None]
     rotations = (U @ V).transpose(0, 2, 1)
     return rotations, middles - np.einsum("tij,tj->ti", rotations, middle)
+
+
+def weights_of(
+    tracks: Float[np.ndarray, "t p 3"], lost: Bool[np.ndarray, "t p"] | None = None
+) -> Float[np.ndarray, "t p"]:
+    """How much each point counts at each moment, 1 together; lost points do where few others are left."""
+    counts = np.ones(tracks.shape[:2])
+    if lost is not None:
+        counts = np.where((~lost).sum(1, keepdims=True) >= FEWEST, ~lost, counts)
+    return counts / counts.sum(1, keepdims=True)
 
 
 def residual(

@@ -21,6 +21,7 @@ from devrf.reconstruct.train_canonical import train_canonical
 RADIUS = 0.45
 TRAVEL = np.array([0.3, 0.0, 0.15])  # of the centre, from time 0 to time 1, box units
 WIDTH, HEIGHT, FOCAL = 48, 40, 60.0
+ROUND = np.eye(3)  # of the ball, which is not stretched
 
 REST = CanonicalOptions(
     resolution=40, iterations=120, rays=1024, samples=8192, channels=6, mlp_width=24,
@@ -38,11 +39,13 @@ class Ball:
     radius: float
 
 
-def ball_picture(camera: Camera, centre: np.ndarray) -> np.ndarray:
-    """RGBA picture [H, W, 4] of the ball, four rays per pixel, traced in closed form."""
+def ball_picture(camera: Camera, centre: np.ndarray, stretch: np.ndarray = ROUND) -> np.ndarray:
+    """RGBA picture [H, W, 4] of the ball, stretched about its centre, four rays per pixel, traced in closed form."""
     offsets = (np.arange(camera.width * 2) + 0.5) / 2, (np.arange(camera.height * 2) + 0.5) / 2
-    d = camera.directions(np.stack(np.meshgrid(*offsets), axis=-1))
-    o = camera.centre - centre
+    back = np.linalg.inv(stretch)
+    d = camera.directions(np.stack(np.meshgrid(*offsets), axis=-1)) @ back.T
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    o = back @ (camera.centre - centre)
     b = d @ o
     root = b**2 - (o @ o - RADIUS**2)
     hit = root > 0
@@ -53,13 +56,19 @@ def ball_picture(camera: Camera, centre: np.ndarray) -> np.ndarray:
     return (small * 255).round().clip(0, 255).astype(np.uint8)
 
 
-def ball_clips(ball: Ball, folder: Path, times: int, travel: np.ndarray) -> Scene:
-    """The ball on its way, seen by all cameras of its scene at so many times; all of its way takes a second."""
+def ball_clips(
+    ball: Ball, folder: Path, times: int, travel: np.ndarray, stretch: np.ndarray = ROUND
+) -> Scene:
+    """The ball on its way, seen by all cameras of its scene at so many times; all of its way takes a second.
+
+    By its end it is stretched.
+    """
     frames = []
     for name, camera in {f.camera_name: f.camera for f in ball.scene.dynamic}.items():
         for n in range(times):
             path, time = folder / f"{name}_{n}.png", n / (times - 1)
-            cv2.imwrite(str(path), ball_picture(camera, time * travel)[..., [2, 1, 0, 3]])
+            picture = ball_picture(camera, time * travel, np.eye(3) + time * (stretch - np.eye(3)))
+            cv2.imwrite(str(path), picture[..., [2, 1, 0, 3]])
             frames.append(PosedFrame(path, camera, name, n, time, time, "train"))
     return replace(ball.scene, dynamic=tuple(frames))
 

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -57,8 +58,10 @@ def still(own: Canonical, labels: torch.Tensor, parts: int = 1) -> Movers:
     return Movers(own, labels, torch.tensor([0.0, 0.5, 1.0]), turn, torch.zeros(3, parts, 3))
 
 
-def whole(rest: RestModel, travel: np.ndarray, turn: np.ndarray | None = None) -> DynamicModel:
-    """All of the ball is one part that goes, and turns, evenly."""
+def whole(
+    rest: RestModel, travel: np.ndarray, turn: np.ndarray | None = None, stretch: np.ndarray | None = None
+) -> DynamicModel:
+    """All of the ball is one part that goes, turns and stretches evenly."""
     canonical = rest.canonical
     labels = (canonical.distance <= 1).to(torch.uint8)
     stands = canonical.only(torch.zeros_like(labels, dtype=torch.bool))
@@ -67,7 +70,13 @@ def whole(rest: RestModel, travel: np.ndarray, turn: np.ndarray | None = None) -
         movers.shifts[n, 0] = torch.from_numpy(time * travel)
         if turn is not None:
             movers.rotations[n, 0] = torch.from_numpy(Rotation.from_rotvec(time * turn).as_matrix())
+    if stretch is not None:
+        shares = np.array([0.0, 0.5, 1.0])[:, None, None]
+        movers.stretches = torch.from_numpy(np.eye(3) + shares * (stretch - np.eye(3))).float()[:, None]
     return DynamicModel.of_movers(rest, replace(rest, canonical=stands), movers, 5, 0.0)
+
+
+STRETCH = np.array([[1.25, 0.08, 0.0], [0.08, 0.85, -0.05], [0.0, -0.05, 1.1]])
 
 
 @pytest.mark.parametrize("deferred", [False, True])
@@ -116,6 +125,25 @@ def test_a_part_looks_as_from_a_camera_that_moves_the_other_way(rest: RestModel)
     assert np.abs(render_view(model, camera, 1.0) - render_view(model, camera, None)).mean() > 0.03
 
 
+@pytest.mark.parametrize("deferred", [False, True])
+def test_a_soft_part_is_drawn_stretched(rest: RestModel, deferred: bool) -> None:
+    """The outline is that of the ball's points, moved."""
+    rest = replace(rest, canonical=copy.copy(rest.canonical))
+    rest.canonical.deferred = deferred
+    camera = look_at(np.array([1.5, 2.0, 0.7]))
+    model = whole(rest, np.array([0.1, -0.05, 0.1]), TURN, STRETCH)
+    directions = np.random.default_rng(0).normal(size=(4000, 3))
+    on_ball = RADIUS * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    for time in (0.0, 0.75, 1.0):
+        opaque = render_layers(model.alone("black"), camera, time)[2] > 0.5
+        at = camera.project(moved(model, on_ball, None, time))
+        hit = opaque[tuple(at.round().astype(int).T[::-1])]
+        assert hit.mean() > 0.85  # the outline itself is half in, half out
+        lo, hi = (f(at, axis=0) for f in (np.min, np.max))
+        y, x = np.nonzero(opaque)
+        assert np.allclose([x.min(), y.min(), x.max(), y.max()], [*lo, *hi], atol=2.5)
+
+
 def test_gradients_are_those_of_differences(rest: RestModel) -> None:
     stands, own, labels = halves(rest)
     stands.density, own.density = stands.density.clone(), own.density.clone()
@@ -148,8 +176,11 @@ def test_gradients_are_those_of_differences(rest: RestModel) -> None:
         assert float(loss()) - before == pytest.approx(0.01 * brighter, rel=0.05)
 
 
-def test_corrections_turn_and_shift_parts_between_moments(rest: RestModel) -> None:
-    model = whole(rest, TRAVEL, TURN)
+@pytest.mark.parametrize("stretch", [None, STRETCH])
+def test_corrections_turn_and_shift_parts_between_moments(
+    rest: RestModel, stretch: np.ndarray | None
+) -> None:
+    model = whole(rest, TRAVEL, TURN, stretch)
     assert model.movers is not None
     times = torch.tensor([0.0, 0.2, 0.25, 1.0])
     corrections = Corrections(model.movers, times)
@@ -157,23 +188,33 @@ def test_corrections_turn_and_shift_parts_between_moments(rest: RestModel) -> No
     assert torch.allclose(before.rotations, after.rotations, atol=1e-6)
     assert torch.allclose(before.shifts, after.shifts, atol=1e-6)
     with torch.no_grad():
-        corrections.values[1, 0] = torch.tensor([0.02, -0.01, 0.03, 0.1, 0.0, -0.05])
+        corrections.values[1, 0, :6] = torch.tensor([0.02, -0.01, 0.03, 0.1, 0.0, -0.05])
+        corrections.values[1, 0, 6:] = torch.linspace(-0.02, 0.03, 6 if stretch is not None else 0)
     after, applied = corrections.placed(), corrections.applied(model.movers)
     at_key = applied.placed(torch.tensor([0.5]))
     turned = Rotation.from_rotvec(np.array([0.02, -0.01, 0.03]) / float(corrections.radii[0, 0])).as_matrix()
     expected = turned @ model.movers.rotations[1, 0].numpy()
     assert np.allclose(at_key.rotations[0, 0].numpy(), expected, atol=1e-5)
     middle = corrections.middles[0]
-    moved = [p.rotations[2, 0] @ middle + p.shifts[2, 0] for p in (before, after)]  # halfway to the moment
+    moved = [p.forth[2, 0] @ middle + p.shifts[2, 0] for p in (before, after)]  # halfway to the moment
     assert np.allclose((moved[1] - moved[0]).detach().numpy(), [0.05, 0.0, -0.025], atol=1e-6)
     assert torch.allclose(after.shifts[[0, 3]], before.shifts[[0, 3]], atol=1e-6)
+    more = (applied.stretched() - model.movers.stretched())[:, 0] * corrections.radii[0, 0]
+    assert float(more[[0, 2]].abs().max()) == 0 and torch.allclose(more[1], more[1].T)
+    if stretch is not None:
+        expected = torch.linspace(-0.02, 0.03, 6)
+        assert torch.allclose(more[1][torch.triu(torch.ones(3, 3)) > 0], expected, atol=1e-6)
+        assert torch.allclose(at_key.stretches, applied.stretched()[1:2])
 
 
+@pytest.mark.parametrize("soft", [False, True])
 def test_gradients_of_corrections_are_those_of_differences(
-    rest: RestModel, monkeypatch: pytest.MonkeyPatch
+    rest: RestModel, monkeypatch: pytest.MonkeyPatch, soft: bool
 ) -> None:
     stands, own, labels = halves(rest)
     movers = still(own, labels)
+    if soft:
+        movers.stretches = torch.from_numpy(STRETCH).float().expand(3, 1, 3, 3)
     corrections = Corrections(movers, torch.tensor([0.4]))
     o, d = (x[300:1500:7].contiguous() for x in camera_rays(look_at(np.array([0.3, 2.4, 0.5]))))
     frame, middle = torch.zeros(len(o), dtype=torch.int64), torch.full((len(o),), 0.5)
@@ -191,8 +232,8 @@ def test_gradients_of_corrections_are_those_of_differences(
 
     loss().backward()
     assert corrections.values.grad is not None
-    differences = np.zeros(6)
-    for n in range(6):
+    differences = np.zeros(12 if soft else 6)
+    for n in range(len(differences)):
         values = []
         for sign in (1, -1):
             corrections.values.data[1, 0, n] += sign * 1e-3
@@ -234,12 +275,15 @@ def test_shading_is_linear_between_its_vertices_and_keeps_to_its_layer() -> None
     assert float(flat.penalty().detach()) == 0 < float(light.penalty().detach())
 
 
-def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path) -> None:
+@pytest.mark.parametrize("soft", [False, True])
+def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path, soft: bool) -> None:
     stands, own, labels = halves(rest)
     stands.density[labels == 1] = 0.5  # filled where the mover stood
     stands.rebuild_occupancy()
     movers = still(own, labels)
     movers.shifts[1:, 0, 2] = torch.tensor([0.1, 0.25])
+    if soft:
+        movers.stretches = torch.from_numpy(STRETCH).float().expand(3, 1, 3, 3)
     light = Shading.none(own.aabb, 0.0, 1.0, torch.device("cpu"))
     with torch.no_grad():
         light.grid.add_(torch.linspace(-0.3, 0.3, light.grid.shape[2])[:, None, None])
@@ -250,6 +294,7 @@ def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path) -> None:
     (path,) = save_deformation(tmp_path, model)
     again = load_deformation(tmp_path, rest)
     assert again.movers is not None and torch.equal(again.movers.labels, labels)
+    assert torch.equal(again.movers.stretched(), movers.stretched())
     camera = look_at(np.array([1.5, 2.0, 0.7]))
     for time in (0.0, 0.7):
         assert np.abs(render_view(model, camera, time) - render_view(again, camera, time)).max() < 0.02
@@ -263,9 +308,10 @@ def test_a_file_holds_the_model(rest: RestModel, tmp_path: Path) -> None:
     )  # half moves, half is filled
 
 
-def test_points_are_carried_and_brought_back(rest: RestModel) -> None:
-    model = whole(rest, TRAVEL, TURN)
-    R = Rotation.from_rotvec(TURN).as_matrix()
+@pytest.mark.parametrize("stretch", [np.eye(3), STRETCH])
+def test_points_are_carried_and_brought_back(rest: RestModel, stretch: np.ndarray) -> None:
+    model = whole(rest, TRAVEL, TURN, stretch)
+    R = Rotation.from_rotvec(TURN).as_matrix() @ stretch
     on_ball = RADIUS * np.array([[1.0, 0, 0], [0, 0.6, 0.8], [-0.6, 0.8, 0]])
     there = on_ball @ R.T + TRAVEL
     assert np.allclose(moved(model, on_ball, None, 1.0), there, atol=1e-5)
@@ -460,7 +506,9 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert model.movers is not None and model.in_motion is not None and model.motion is not None
     assert metrics["parts"] == 1 and metrics["points"] == 3 and metrics["keys"] == 3
     assert metrics["largest_motion"] == pytest.approx(np.linalg.norm(TRAVEL))
-    assert metrics["movers_gain_db"] > 5 and metrics["decisions"] == []
+    assert metrics["movers_gain_db"] > 5
+    (decision,) = metrics["decisions"]
+    assert decision.startswith("parts: rigid instead of soft")
     assert [row.verdict for row in mover_rows(metrics)] == ["ok", "ok"]
     assert metrics["rigid_parts"][0]["longest_lost"] == 0 and metrics["lost_share"] == 0
     assert metrics["clock_offsets_s"] == {}
@@ -480,7 +528,7 @@ def test_pixels_held_back_say_how_points_are_followed(
     session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, by_nodes, by_parts, said: str
 ) -> None:
     every = tracked(TRAVEL)
-    errors = iter(error for error in (by_nodes, by_parts) if error is not None)
+    errors = chain((error for error in (by_nodes, by_parts) if error is not None), repeat(1.0))
 
     def find(*arguments: Any) -> list[Found]:
         taken = arguments[-1](*(None if error is None else every[0] for error in (by_nodes, by_parts)))
@@ -492,8 +540,37 @@ def test_pixels_held_back_say_how_points_are_followed(
     monkeypatch.setattr(module + "untrained_error", lambda *_: next(errors))
     options = replace(OPTIONS, together=1)
     monkeypatch.setattr(module + "LEAST_GAIN_DB", -np.inf)
-    (decision,) = train_deformation(session, rest, {}, options, estimator=DisFlow)[1]["decisions"]
-    assert decision.startswith(f"tracks: {said}")
+    decisions = train_deformation(session, rest, {}, options, estimator=DisFlow)[1]["decisions"]
+    assert decisions[0].startswith(f"tracks: {said}")
+    # By rigid parts nothing stretches, and nobody asks.
+    assert [line.split(":")[0] for line in decisions[1:]] == (
+        [] if "tracks: by rigid" in decisions[0] else ["parts"]
+    )
+
+
+@pytest.mark.parametrize("stretch", [np.eye(3), STRETCH])
+def test_parts_are_soft_where_pixels_held_back_gain_by_it(
+    ball: Ball, rest: RestModel, tracked, tmp_path: Path, stretch: np.ndarray
+) -> None:
+    """The tracks of points of the ball are good to a voxel."""
+    rng, soft = np.random.default_rng(0), bool((stretch != np.eye(3)).any())
+    xyz = rng.normal(size=(300, 3))
+    xyz *= RADIUS / np.linalg.norm(xyz, axis=1, keepdims=True)
+    (found,) = tracked(TRAVEL)
+    times = found.tracks.times[:, None, None]
+    way = times * TRAVEL + xyz + times * (xyz @ stretch - xyz)
+    way[1:] += rng.normal(0, 0.5 * rest.canonical.voxel, way[1:].shape)
+    every = tracked(TRAVEL)
+    tracks = replace(found.tracks, xyz=way, lost=np.zeros(way.shape[:2], bool))
+    surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
+    every[0] = replace(found, surface=surface, tracks=tracks, labels=np.zeros(len(xyz), int))
+    session = ball_clips(ball, tmp_path, 5, TRAVEL, stretch)
+    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    assert model.movers is not None
+    (decision,) = metrics["decisions"]
+    assert decision.startswith("parts: soft instead of rigid" if soft else "parts: rigid instead of soft")
+    found_stretch = model.movers.stretched()[-1, 0].numpy()
+    assert np.abs(found_stretch - stretch).max() < (0.05 if soft else 1e-6)
 
 
 def test_what_moves_as_found_has_a_smaller_error_before_training(
@@ -514,7 +591,8 @@ def test_clocks_are_moved_where_pixels_held_back_say_so(
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None and metrics["movers_gain_db"] > 5
     assert metrics["clock_offsets_s"] == ({"cam1": 0.02} if moved else {})
-    (decision,) = metrics["decisions"]
+    decision, softness = metrics["decisions"]
+    assert softness.startswith("parts: rigid instead of soft")
     assert decision.startswith("clocks: cam1 +20 ms instead" if moved else "clocks: as they are instead")
     assert metrics["iterations"] == 2 * OPTIONS.together
 
@@ -633,5 +711,5 @@ def test_clocks_stay_where_training_with_others_diverges(
     monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", once)
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None and metrics["clock_offsets_s"] == {}
-    (decision,) = metrics["decisions"]
+    decision = metrics["decisions"][0]
     assert decision.startswith("clocks: as they are instead of cam1 +20 ms") and "diverged" in decision

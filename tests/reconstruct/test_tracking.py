@@ -27,6 +27,7 @@ from devrf.reconstruct.tracking.moving_points import AWAY, TOGETHER, _away, _cut
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear, offsets_of
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
+from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.solve import Pulls, step
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.training_log import TrainingLog
@@ -566,6 +567,46 @@ def test_rigid_motions_are_recovered_exactly() -> None:
     assert residual(found, rest, tracks).max() < 1e-20
     mirrored = motion_of(rest, tracks * [1, 1, -1])
     assert np.allclose(np.linalg.det(mirrored[0]), 1)
+
+
+def test_stretches_are_recovered_and_what_is_rigid_has_none() -> None:
+    rng = np.random.default_rng(3)
+    rest = rng.normal(size=(400, 3))
+    rotations = Rotation.from_quat(rng.normal(size=(5, 4))).as_matrix()
+    shifts = rng.normal(size=(5, 3))
+    stretches = np.eye(3) + np.array([0, 0.05, 0.1, 0.1, 0.2])[:, None, None] * [
+        [1, 0.5, 0],
+        [0.5, -1, 0],
+        [0, 0, 0],
+    ]
+    tracks = np.einsum("tij,pj->tpi", rotations @ stretches, rest) + shifts[:, None]
+    lost = np.zeros(tracks.shape[:2], dtype=bool)
+    R, S, t = soft_motion_of(rest, tracks, lost, 0.01)
+    assert (
+        np.allclose(R, rotations, atol=1e-3)
+        and np.allclose(S, stretches, atol=2e-3)
+        and np.allclose(t, shifts, atol=2e-3)
+    )
+    tracks = np.einsum("tij,pj->tpi", rotations, rest) + shifts[:, None]
+    assert np.allclose(soft_motion_of(rest, tracks, lost, 0.01)[1], np.eye(3))
+
+
+def test_a_part_of_which_hardly_anything_is_seen_does_not_stretch() -> None:
+    """Some points of a corner are seen, and off; or the part is a sheet, whose thickness nothing tells."""
+    rng = np.random.default_rng(4)
+    rest = rng.uniform(-1, 1, (300, 3)) * [10, 10, 10]
+    tracks = np.tile(rest, (3, 1, 1))
+    lost = np.zeros(tracks.shape[:2], dtype=bool)
+    corner = (rest > 4).all(1)
+    lost[1:, ~corner] = True
+    tracks += rng.normal(0, 0.5, tracks.shape)
+    lengths = np.linalg.svd(soft_motion_of(rest, tracks, lost, 1.0)[1], compute_uv=False)
+    assert np.abs(lengths - 1).max() < 0.1
+    sheet = rest * [1, 1, 0.02]
+    S = soft_motion_of(
+        sheet, np.tile(sheet * [1.1, 1, 1], (3, 1, 1)) + rng.normal(0, 0.5, tracks.shape), lost & False, 1.0
+    )[1]
+    assert np.allclose(S[:, 0, 0], 1.1, atol=0.03) and np.allclose(S[:, 2, 2], 1, atol=0.05)
 
 
 def test_more_points_than_a_row_are_looked_up() -> None:
