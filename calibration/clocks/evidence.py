@@ -11,7 +11,7 @@ from jaxtyping import Float
 from devrf.calibration.clocks import sound_faults
 from devrf.calibration.clocks.equations import Equation, PairCue, groups
 from devrf.calibration.clocks.flash import Brightness, Flashes, find_flashes, flash_delay
-from devrf.calibration.clocks.motion import MotionDelay, motion_delay
+from devrf.calibration.clocks.motion import MotionDelay, RestAt, motion_delay
 from devrf.calibration.clocks.sound import ACCEPT_RATIO, SoundDelay, sound_delay
 from devrf.calibration.clocks.times import stated_delay
 from devrf.capture.audio import Sound
@@ -82,12 +82,14 @@ class Extras:
         recorded: Camera -> what its file says of its beginning.
         av_lag_s: Camera -> how late its sound is behind its pictures.
         readout_s: Camera -> time from the first row's reading to the last one's.
+        rest: The end of the clips at which they show the scene at rest; None: at neither, or not known.
     """
 
     brightness: Mapping[str, Brightness] = field(default_factory=dict)
     recorded: Mapping[str, Recorded] = field(default_factory=dict)
     av_lag_s: Mapping[str, float] = field(default_factory=dict)
     readout_s: Mapping[str, float] = field(default_factory=dict)
+    rest: RestAt | None = None
 
 
 @dataclass
@@ -215,16 +217,23 @@ def see_flashes(names: Sequence[str], extras: Extras, out: Evidence, aloud: bool
 
 
 def watch(
-    names: Sequence[str], motion: Mapping[str, Float[np.ndarray, "_ 2"]], out: Evidence, progress: Progress
+    names: Sequence[str],
+    motion: Mapping[str, Float[np.ndarray, "_ 2"]],
+    out: Evidence,
+    progress: Progress,
+    rest: RestAt | None = None,
 ) -> None:
-    """Compare motion: for the clocks where sound and flashes do not connect two cameras, else as a check."""
+    """Compare motion: for the clocks where sound and flashes do not connect two cameras, else as a check.
+
+    `rest`: the end of the clips at which they show the scene at rest.
+    """
     seen = [n for n in names if n in motion]
     group = groups(names, out.accepted())
     pairs = list(itertools.combinations(seen, 2))
     for i, (a, b) in enumerate(pairs):
         needed = group[a] != group[b]
         progress(i / len(pairs), f"motion in {a} and {b}")
-        found: MotionDelay | None = motion_delay(motion[a], motion[b])
+        found: MotionDelay | None = motion_delay(motion[a], motion[b], rest)
         if found is None:
             if needed:
                 out.notes.append(f"{a} and {b}: too little motion to compare")

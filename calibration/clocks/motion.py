@@ -5,10 +5,15 @@ from different sides see different amounts of the same movement, so only its cou
 root flattens the peaks, and the correlation is normalised over what overlaps at each lag. Half a frame is the
 best accuracy to be claimed; where views differ and the peak is wide, the standard deviation is larger.
 
+Where clips begin with the scene at rest nothing moves before that either (where they end with it, after it). So the
+courses go on beyond the clips, and a delay at which one shows motion then is refuted; without, half of a regular
+movement may match the wrong half.
+
 A delay here is `file time in the first clip - file time in the second` of one and the same movement.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -25,8 +30,15 @@ END_PICTURES, END_TIMES = 8, 3.0  # within so many pictures of an end, more than
 MIN_VARIATION = 0.05  # standard deviation over mean of the energy: below it nothing happens
 ACCEPT_CORRELATION = 0.6  # below it views disagree
 ACCEPT_SCORE = 4.0  # standard deviations away from chance (Fisher's z with independent samples)
+GUESSED = 3.9  # of that, at most, where only rest beyond the clips tells which peak is right
 ACCEPT_MARGIN = 0.1  # peak minus next best; periodic movement has equals one period away
 CURVE_S = 0.5
+REST_STEPS, AT_REST = (
+    4,
+    0.25,
+)  # pictures at the end of a clip; share of the range of the energy's root up to which it rests
+
+RestAt = Literal["start", "end"]
 
 
 @dataclass(frozen=True)
@@ -62,18 +74,50 @@ class MotionDelay:
         )
 
 
-def motion_delay(first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"]) -> MotionDelay | None:
-    """Delay between two clips by their motion energies: rows of (time, energy).
+def motion_delay(
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], rest: RestAt | None = None
+) -> MotionDelay | None:
+    """Delay between two clips by their motion energies.
 
+    Args:
+        first, second: Rows of (time, energy).
+        rest: The end of the clips at which they show the scene at rest, which it also was beyond.
     Returns:
         None where a clip is too short, or nothing moves in it.
     """
     if min(len(first), len(second)) < MIN_OVERLAP_STEPS:
         return None
-    roots = [_root(m[:, 1]) for m in (first, second)]
-    if roots[0] is None or roots[1] is None:
+    a, b = (_root(m[:, 1]) for m in (first, second))
+    if a is None or b is None:
         return None
-    return course_delay(first[:, 0], roots[0][:, None], second[:, 0], roots[1][:, None])
+    a_s, b_s = first[:, 0], second[:, 0]
+    plain = course_delay(a_s, a[:, None], b_s, b[:, None])
+    if rest is None:
+        return plain
+    (a_s, a), (b_s, b) = _beyond(a_s, a, rest), _beyond(b_s, b, rest)
+    longer = course_delay(a_s, a[:, None], b_s, b[:, None])
+    if plain is None or longer is None:
+        return longer or plain
+    # At rest all lags nearly agree: that tells which peak is right, but less of where it is, and is no second proof.
+    if abs(plain.delay_s - longer.delay_s) <= np.hypot(plain.std_s, longer.std_s):
+        return plain
+    return replace(longer, score=min(longer.score, GUESSED))
+
+
+def _beyond(
+    time_s: Float[np.ndarray, " n"], root: Float[np.ndarray, " n"], rest: RestAt
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """The course with as much rest before or after it as it is long, if it rests at that end."""
+    if rest == "end":
+        time_s, root = _beyond(-time_s[::-1], root[::-1], "start")
+        return -time_s[::-1], root[::-1]
+    lowest, highest = np.quantile(root, [0.05, 0.9])
+    level = float(np.median(root[:REST_STEPS]))
+    if level > lowest + AT_REST * (highest - lowest):
+        return time_s, root
+    step = float(np.median(np.diff(time_s)))
+    before = time_s[0] - step * np.arange(len(root), 0, -1)
+    return np.concatenate([before, time_s]), np.concatenate([np.full(len(root), level), root])
 
 
 def course_delay(

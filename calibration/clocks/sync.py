@@ -134,7 +134,7 @@ def synchronise(
     if method in ("auto", "flash"):
         see_flashes(names, extras, evidence, aloud=method == "flash")
     if method in ("auto", "motion"):
-        watch(names, motion, evidence, progress)
+        watch(names, motion, evidence, progress, extras.rest)
     if method in ("auto", "audio"):
         hear_again(names, sounds, extras.recorded, evidence)
     if method == "auto":
@@ -204,11 +204,7 @@ def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> S
     notes += [f"{e.a} and {e.b}: motion trusted all the same, other pairs agree with it" for e in backed]
     sure = reached_from_first(names, used)
     believed = loops(names, used)
-    guesses = sorted((e for e in evidence.equations if e.guess and e not in backed), key=lambda e: -e.quality)
-    for guess in guesses:
-        group = groups(names, used)
-        if group[guess.a] != group[guess.b]:
-            used.append(guess)
+    used = _with_guesses(spans_s, used, [e for e in evidence.equations if e.guess and e not in backed])
     solution = solve(spans_s, used)
     reached = reached_from_first(names, used)
     clocks = {names[0]: _reference()}
@@ -233,6 +229,45 @@ def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> S
         (*evidence.comparisons, *_against_motion(solution, evidence.checks)),
         tuple(evidence.jumps),
         tuple(dict.fromkeys(notes)),
+    )
+
+
+def _with_guesses(
+    spans_s: Mapping[str, tuple[float, float]], used: Sequence[Equation], guesses: Sequence[Equation]
+) -> list[Equation]:
+    """The equations, and guesses for cameras that they leave apart: by sound, then those that most others agree with.
+
+    A view from one side may match at a wrong delay; others then disagree on it, unless the movement is regular.
+    """
+    used = list(used)
+    while True:
+        group = groups(list(spans_s), used)
+        left = [e for e in guesses if group[e.a] != group[e.b]]
+        if not left:
+            return used
+        between = [frozenset({group[e.a], group[e.b]}) for e in left]
+        speaks = [
+            _speaks_for(
+                e, [other for other, those in zip(left, between, strict=True) if those == mine], spans_s, used
+            )
+            for e, mine in zip(left, between, strict=True)
+        ]
+        best = max(range(len(left)), key=lambda n: (left[n].cue == "audio", speaks[n], left[n].quality))
+        used.append(left[best])
+
+
+def _speaks_for(
+    guess: Equation,
+    beside: Sequence[Equation],
+    spans_s: Mapping[str, tuple[float, float]],
+    used: Sequence[Equation],
+) -> float:
+    """How much speaks for a guess: squared distances from chance of guesses that it and what is known predict."""
+    offset = solve({guess.a: spans_s[guess.a], **spans_s}, [*used, guess]).offset_s
+    return sum(
+        e.score**2
+        for e in beside
+        if abs(e.delay_s - (offset[e.b] - offset[e.a])) <= np.hypot(e.std_s, guess.std_s)
     )
 
 

@@ -31,7 +31,9 @@ def clock_rows(
         courses = {name: read_courses(path, seconds) for name, path in clips}
         brightness = {n: Brightness(c.brightness[:, 0], c.brightness[:, 1:]) for n, c in courses.items()}
         motion = {n: c.motion for n, c in courses.items()}
-        extras = Extras(brightness, sync.recorded(moving), settings.av_lag_s, settings.readout_s)
+        rest = sync.rest_at(config)
+        rest = None if rest == "end" else rest  # of a long clip the end is not read
+        extras = Extras(brightness, sync.recorded(moving), settings.av_lag_s, settings.readout_s, rest)
         return synchronise(spans, sounds, motion, settings.method, table, extras=extras)
 
     try:

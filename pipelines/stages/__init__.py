@@ -128,7 +128,7 @@ STAGES = (
     Stage(
         name="sync",
         reads=("ingest",),
-        config_keys=("calibration.sync",),
+        config_keys=("calibration.sync", "capture.rest"),
         applies=_unless(dataset=NO_RAW_FILES, sweep=NO_CAMERAS),
         run=_glue("sync"),
     ),

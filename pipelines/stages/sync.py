@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from devrf.calibration.clocks.evidence import Curve, Extras
 from devrf.calibration.clocks.flash import Brightness
+from devrf.calibration.clocks.motion import RestAt
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.frames import CameraFrames, FrameSet
@@ -18,6 +19,7 @@ from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
 from devrf.pipelines.clocks import clock_dict, curve_dict
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.clock import BY_GEOMETRY, UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
 from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
@@ -33,7 +35,7 @@ def run(context: StageContext) -> None:
     """Write `sync.json` (clocks) and `curves.json` (the correlations they were read from)."""
     folder = context.run_dir / "ingest"
     frames = FrameSet.read(folder)
-    result = _solve(frames.moving, frames, context, context.progress)
+    result = _solve(frames.moving, frames, context, context.progress, rest_at(context.config))
     content: dict[str, Any] = as_dict(result)
     content["shared_s"] = list(shared_span(frames.moving, result))
     joint = {n: c for n, c in frames.cameras.items() if c.role == "joint"}
@@ -50,13 +52,23 @@ def run(context: StageContext) -> None:
     context.health.extend(health(frames.moving, result))
 
 
+def rest_at(config: SceneConfig) -> RestAt | None:
+    """The end of the moving clips at which they are said to show the scene at rest."""
+    said = config.capture.rest if config.capture else "none"
+    return said if said in ("start", "end") else None
+
+
 def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
     """What the files say of when they begin."""
     return {n: Recorded(c.created_s, c.timecode_s, c.timecode_fps) for n, c in cameras.items()}
 
 
 def _solve(
-    cameras: dict[str, CameraFrames], frames: FrameSet, context: StageContext, progress: Progress
+    cameras: dict[str, CameraFrames],
+    frames: FrameSet,
+    context: StageContext,
+    progress: Progress,
+    rest: RestAt | None = None,
 ) -> SyncResult:
     folder, config = context.run_dir / "ingest", context.config.calibration.sync
     times = {name: used_times(camera) for name, camera in cameras.items()}
@@ -67,6 +79,7 @@ def _solve(
         recorded(cameras),
         config.av_lag_s,
         config.readout_s,
+        rest,
     )
     return synchronise(
         spans,

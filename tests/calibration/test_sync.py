@@ -12,7 +12,7 @@ from devrf.calibration.clocks.equations import Clock, Equation, consistent
 from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.motion import motion_delay
 from devrf.calibration.clocks.sound import gcc_phat, sound_delay
-from devrf.calibration.clocks.sync import synchronise
+from devrf.calibration.clocks.sync import _with_guesses, synchronise
 from devrf.capture.audio import Sound, read_sound
 from devrf.capture.errors import CalibrationError
 from devrf.capture.recorded import Recorded
@@ -183,6 +183,46 @@ def test_periodic_motion_is_refused():
     walk = np.stack([t, 2 + np.sin(2 * np.pi * 1.2 * t)], 1)
     found = motion_delay(walk, walk + [0.3, 0.0])
     assert found is not None and not found.accepted
+
+
+@pytest.mark.parametrize("end", [False, True])
+def test_rest_beyond_the_clips_tells_which_half_of_a_movement_is_which(end: bool) -> None:
+    """To and fro: one view sees more of the way there, the other of the way back."""
+    time_s = np.arange(0, 3.4, 1 / 25)
+
+    def clip(*sizes: float) -> np.ndarray:
+        at_s = (0.8, 1.8, 2.6)
+        bumps = [size * np.exp(-(((time_s - at) / 0.2) ** 2)) for at, size in zip(at_s, sizes, strict=True)]
+        course = np.sum(bumps, axis=0) ** 2 + 0.01
+        return np.stack([time_s, course[::-1] if end else course], axis=1)
+
+    one, other = clip(0.9, 1.0, 0.3), clip(1.0, 0.2, 0.3)
+    alone = motion_delay(one, other)
+    assert alone is not None and abs(alone.delay_s) > 0.9
+    found = motion_delay(one, other, "end" if end else "start")
+    assert found is not None and abs(found.delay_s) < 0.1 and not found.accepted
+    cut = one[(time_s > 0.7) & (time_s < 2.7)], other[(time_s > 0.7) & (time_s < 2.7)]
+    moving = (motion_delay(*cut, rest) for rest in (None, "end" if end else "start"))
+    assert (
+        len({None if m is None else m.delay_s for m in moving}) == 1
+    )  # a clip that begins in motion says nothing of before
+
+
+def test_of_guesses_those_count_that_most_others_agree_with() -> None:
+    def equation(
+        a: str, b: str, delay_s: float, quality: float, score: float, accepted: bool = False
+    ) -> Equation:
+        return Equation(a, b, 2.0, 2.0 - delay_s, 0.04, "motion", quality, accepted, not accepted, score)
+
+    names = ("cam0", "cam1", "cam2", "cam3")
+    sure = [equation("cam1", "cam2", 0.1, 0.9, 5.0, True), equation("cam2", "cam3", 0.0, 0.9, 5.0, True)]
+    wrong = equation("cam0", "cam2", 1.0, 0.9, 2.8)
+    right = [equation("cam0", "cam1", -0.08, 0.6, 2.3), equation("cam0", "cam3", 0.03, 0.5, 2.4)]
+    used = _with_guesses(spans(4.0, names), sure, [wrong, *right])
+    assert len(used) == 3 and used[-1] in right
+    assert _with_guesses(spans(4.0, names), sure, [wrong, right[0]])[-1] is wrong  # one each: the higher
+    heard = Equation("cam0", "cam1", 2.0, 1.5, 0.001, "audio", 2.0, False, True)
+    assert _with_guesses(spans(4.0, names), sure, [wrong, *right, heard])[-1] is heard
 
 
 def test_a_short_clip_is_not_taken_for_its_ends():
