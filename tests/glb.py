@@ -51,7 +51,10 @@ def read_glb(path: Path) -> ReadMesh:
     vertices, faces, rgb, shapes = [], [], [], [[] for _ in times_s]
     for number in root["children"]:
         node = value["nodes"][number]
-        (primitive,) = value["meshes"][node["mesh"]]["primitives"]
+        (inner,) = node.get("children", [None])
+        (primitive,) = value["meshes"][(node if inner is None else value["nodes"][inner])["mesh"]][
+            "primitives"
+        ]
         own = array(primitive["attributes"]["POSITION"])
         place = np.array(node.get("translation", [0.0, 0.0, 0.0]))
         faces.append(array(primitive["indices"]).astype(np.int64).reshape(-1, 3) + sum(map(len, vertices)))
@@ -60,6 +63,9 @@ def read_glb(path: Path) -> ReadMesh:
         targets = [own + array(target["POSITION"]) for target in primitive.get("targets", [])]
         for k, shape in enumerate(shapes):
             now = targets[k] if targets else own
+            if inner is not None:
+                now = now @ Rotation.from_quat(courses[inner, "rotation"][k]).as_matrix().T
+                now = now * courses[number, "scale"][k]
             if (number, "rotation") in courses:
                 now = now @ Rotation.from_quat(courses[number, "rotation"][k]).as_matrix().T
             shape.append(now + courses.get((number, "translation"), np.tile(place, (k + 1, 1)))[k])

@@ -2,8 +2,9 @@
 
 A mesh that changes its shape has one at every key time as a morph target; the animation fades from one to the next,
 which moves each vertex along a straight line between key times. One that moves as a whole has a node that turns and
-goes. Colours are per vertex and hold the light already, so the material is unlit. glTF counts in metres with y up: the
-first node turns the meshes' own axes there.
+goes; if it stretches, too, that node also scales, along axes to which one inside turns the mesh. Colours are per vertex
+and hold the light already, so the material is unlit. glTF counts in metres with y up: the first node turns the meshes'
+own axes there.
 """
 
 import json
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.srgb import linear_from_srgb
@@ -34,15 +36,18 @@ class Way:
         pivot: The point at rest [3].
         rotations: From rest, at each key time [k, 3, 3].
         places: Of the point then [k, 3].
+        stretches: Before it turns: symmetric matrices [k, 3, 3]; None: it is rigid.
     """
 
     pivot: Float[np.ndarray, "3"]
     rotations: Float[np.ndarray, "k 3 3"]
     places: Float[np.ndarray, "k 3"]
+    stretches: Float[np.ndarray, "k 3 3"] | None = None
 
     def carried(self, rest: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, "k v 3"]:
         """Where points that go along are at the key times."""
-        return np.einsum("kij,vj->kvi", self.rotations, rest - self.pivot) + self.places[:, None]
+        linear = self.rotations if self.stretches is None else self.rotations @ self.stretches
+        return np.einsum("kij,vj->kvi", linear, rest - self.pivot) + self.places[:, None]
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ def write_glb(
         name: Of the whole.
         extras: Kept in the file, under `asset`.
     """
-    parts = _Parts()
+    parts, inner = _Parts(), _inner(meshes)
     matrix = np.eye(4)
     matrix[:3, :3] = turn
     root = {
@@ -96,7 +101,11 @@ def write_glb(
         "asset": {"version": "2.0", "generator": "devrf", "extras": extras},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [root, *(_node(mesh, n) for n, mesh in enumerate(meshes))],
+        "nodes": [
+            root,
+            *(_node(mesh, n, inner[n][0] if n in inner else None) for n, mesh in enumerate(meshes)),
+            *({"mesh": n} for n in inner),
+        ],
         "meshes": [_mesh(parts, mesh) for mesh in meshes],
         "materials": [
             {
@@ -108,6 +117,7 @@ def write_glb(
         "extensionsUsed": ["KHR_materials_unlit"],
     }
     courses = [(n + 1, *course) for n, mesh in enumerate(meshes) for course in _courses(mesh)]
+    courses += [(node, "rotation", _quaternions(_axes(way)[1].mT)) for node, way in inner.values()]
     if courses:
         keys = parts.add(np.array(times_s)[:, None], FLOAT, bounds=True)
         samplers, channels = [], []
@@ -125,8 +135,15 @@ def write_glb(
         file.write(struct.pack("<II", len(data), BIN_CHUNK) + data)
 
 
-def _node(mesh: Mesh, number: int) -> dict[str, Any]:
-    node: dict[str, Any] = {"mesh": number, "name": mesh.name}
+def _inner(meshes: Sequence[Mesh]) -> dict[int, tuple[int, Way]]:
+    """Of meshes that stretch, by their numbers: the node inside theirs, which comes after all others, and the way."""
+    soft = [(n, way) for n, mesh in enumerate(meshes) if (way := mesh.way) and way.stretches is not None]
+    return {n: (1 + len(meshes) + k, way) for k, (n, way) in enumerate(soft)}
+
+
+def _node(mesh: Mesh, number: int, inner: int | None) -> dict[str, Any]:
+    held: dict[str, Any] = {"mesh": number} if inner is None else {"children": [inner]}
+    node = held | {"name": mesh.name}
     return node if mesh.way is None else node | {"translation": mesh.way.pivot.tolist()}
 
 
@@ -155,11 +172,34 @@ def _courses(mesh: Mesh) -> Iterator[tuple[str, np.ndarray]]:
     if mesh.shapes:
         yield "weights", np.eye(len(mesh.shapes)).reshape(-1, 1)  # at each key time one shape alone
     if mesh.way is not None:
-        quaternions = Rotation.from_matrix(mesh.way.rotations).as_quat()
-        away = (quaternions[1:] * quaternions[:-1]).sum(1) < 0  # q and -q are one rotation: take the nearer
-        quaternions[1:] *= np.where(np.cumsum(away) % 2, -1.0, 1.0)[:, None]
-        yield "rotation", quaternions
+        lengths, axes = _axes(mesh.way)
+        yield "rotation", _quaternions(mesh.way.rotations @ axes)
         yield "translation", mesh.way.places
+        if mesh.way.stretches is not None:
+            yield "scale", lengths
+
+
+def _quaternions(rotations: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 4"]:
+    quaternions = Rotation.from_matrix(rotations).as_quat()
+    away = (quaternions[1:] * quaternions[:-1]).sum(1) < 0  # q and -q are one rotation: take the nearer
+    quaternions[1:] *= np.where(np.cumsum(away) % 2, -1.0, 1.0)[:, None]
+    return quaternions
+
+
+def _axes(way: Way) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3 3"]]:
+    """Lengths along the axes of stretches, and these as columns of rotations that turn little from key to key."""
+    keys = len(way.rotations)
+    lengths, axes = np.ones((keys, 3)), np.tile(np.eye(3), (keys, 1, 1))
+    if way.stretches is None:
+        return lengths, axes
+    before = np.eye(3)
+    for k, (values, vectors) in enumerate(zip(*np.linalg.eigh(way.stretches), strict=True)):
+        order = linear_sum_assignment(-np.abs(before.T @ vectors))[1]
+        turned = vectors[:, order] * np.where((before * vectors[:, order]).sum(0) < 0, -1.0, 1.0)
+        if np.linalg.det(turned) < 0:  # a mirror image: turn the axis that agrees least
+            turned[:, (before * turned).sum(0).argmin()] *= -1
+        lengths[k], axes[k], before = values[order], turned, turned
+    return lengths, axes
 
 
 class _Parts:

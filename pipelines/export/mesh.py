@@ -197,22 +197,23 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
         crumbs,
         np.concatenate([mesh.vertices for mesh in meshes] + list(shapes)),
         f"what stands, and {movers.parts} parts, each a mesh of its own on a node that turns and goes"
-        + ("" if movers.stretches is None else "; how soft parts stretch is left out"),
+        + ("" if movers.stretches is None else " and stretches"),
         {"parts": movers.parts, "forward_motion": _agreement(trained, misses)},
     )
 
 
 def _ways(trained: Trained, movers: "Movers", times: "Tensor") -> list[gltf.Way]:
-    """Of the parts, in the world. They turn about their middles, as they do between the moments of the model.
-
-    Nodes cannot shear: how a soft part stretches is left out.
-    """
+    """Of the parts, in the world. They turn about their middles, as they do between the moments of the model."""
     placed = movers.placed(times)
-    every = (x.double().cpu().numpy().swapaxes(0, 1) for x in (placed.rotations, placed.forth, placed.shifts))
+    R, forth, t = (
+        x.double().cpu().numpy().swapaxes(0, 1) for x in (placed.rotations, placed.forth, placed.shifts)
+    )
+    S = None if placed.stretches is None else placed.stretches.double().cpu().numpy().swapaxes(0, 1)
     turn, out = trained.world_from_box[:3, :3] / trained.scale, []
-    for middle, R, forth, t in zip(movers.middles(), *every, strict=True):
-        places = trained.to_world(np.einsum("kij,j->ki", forth, middle) + t)
-        out.append(gltf.Way(trained.to_world(middle[None])[0], turn @ R @ turn.T, places))
+    for m, middle in enumerate(movers.middles()):
+        places = trained.to_world(np.einsum("kij,j->ki", forth[m], middle) + t[m])
+        stretches = None if S is None else turn @ S[m] @ turn.T
+        out.append(gltf.Way(trained.to_world(middle[None])[0], turn @ R[m] @ turn.T, places, stretches))
     return out
 
 

@@ -1,7 +1,4 @@
-"""Where splats of the scene at rest are at a time: they move by the forward field, or on a node for each part.
-
-A node turns and goes; how a soft part stretches is left out.
-"""
+"""Where splats of the scene at rest are at a time: they move by the forward field, or on a node for each rigid part."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -49,7 +46,7 @@ class Nodes:
             if time is not None:
                 placed = model.movers.placed(torch.tensor([time]))
                 quats[key, 1:] = quats_of(placed.rotations[0])
-                turned = torch.einsum("pij,pj->pi", placed.forth[0], self.middles[1:])
+                turned = torch.einsum("pij,pj->pi", placed.rotations[0], self.middles[1:])
                 places[key, 1:] = turned + placed.shifts[0]
         return replace(self, quats=quats, places=places)
 
@@ -58,8 +55,8 @@ class Nodes:
 def nodes_of(
     model: DynamicModel, x_rest: Float[Tensor, "N 3"], times: Sequence[float | None]
 ) -> Nodes | None:
-    """The parts of resting points, and where these are at times (None: at rest); None where nothing is rigid."""
-    if model.movers is None or model.in_motion is None:
+    """The parts of resting points, and where these are at times (None: at rest); None where not all are rigid."""
+    if model.movers is None or model.movers.stretches is not None or model.in_motion is None:
         return None
     movers, at_rest = model.movers, model.movers.at_rest(torch.zeros(1))
     part = Field(model.in_motion.canonical, movers=(movers, at_rest)).layer(x_rest)[1]

@@ -137,6 +137,27 @@ def test_rigid_parts_are_nodes_that_move_as_the_model_does(run_dir: Path, times:
     np.testing.assert_allclose(mesh.rgb.mean(0), COLOUR, atol=0.05)
 
 
+def test_soft_parts_stretch_on_their_nodes(run_dir: Path) -> None:
+    pytest.importorskip("skimage")
+    model = rigid_ball()
+    assert model.movers is not None
+    rng = np.random.default_rng(0)
+    skewed = 0.1 * rng.normal(size=(len(model.movers.times), 1, 3, 3))
+    stretches = np.eye(3) + np.cumsum(skewed + skewed.swapaxes(2, 3), axis=0)
+    model.movers.stretches = torch.from_numpy(stretches).float()
+    save_deformation(run_dir / "deformation", model)
+    folder, facts = exported(run_dir, "glb")
+    mesh = read_glb(folder / "scene.glb")
+    assert max(facts["forward_motion"]["median"]) < facts["forward_motion"]["voxel"]
+    middle, away = model.movers.middles()[0] * UNIT, mesh.vertices - model.movers.middles()[0] * UNIT
+    turns = model.movers.rotations[:, 0].double().numpy()
+    for turn, stretch, shift, shape in zip(
+        turns, stretches[:, 0], model.movers.shifts[:, 0].double().numpy(), mesh.shapes, strict=True
+    ):
+        place = turn @ stretch @ middle + shift * UNIT
+        np.testing.assert_allclose(shape, away @ (turn @ stretch).T + place, atol=2e-3)
+
+
 def test_nodes_go_between_moments_as_the_model_does(run_dir: Path) -> None:
     """By the specification: rotations along the arc, places along the line."""
     pytest.importorskip("skimage")

@@ -239,6 +239,22 @@ def test_splats_go_and_turn_with_the_rigid_part_they_are_on(tmp_path: Path) -> N
     assert errors[1] < 1.5 * errors[0]  # as good where the stick has turned
 
 
+def test_splats_on_soft_parts_each_have_a_way_of_their_own(tmp_path: Path) -> None:
+    model = moving_parts()
+    assert model.movers is not None
+    stretch = torch.diag(torch.tensor([1.3, 0.9, 0.8]))
+    stretches = torch.eye(3).repeat(len(model.movers.times), 2, 1, 1)
+    stretches[-1, STICK] = stretch
+    model.movers.stretches = stretches
+    splats = make_splats(ball_scene(tmp_path), model, 1200, [REST, 1.0], rounds=0)
+    assert splats.nodes is None and 300 < splats.moving < len(splats.gaussians)
+    at_rest, there = (splats.at(key).places[: splats.moving] for key in (0, 1))
+    on = torch.from_numpy(outside(STICK, at_rest.numpy(), REST)) < model.rest.canonical.voxel
+    turns, shifts = (torch.from_numpy(x[STICK]).float() for x in motion_at(1.0))
+    assert on.sum() > 50
+    torch.testing.assert_close(there[on], at_rest[on] @ (turns @ stretch).T + shifts, rtol=0, atol=1e-4)
+
+
 def outside_of_swept(packed: Packed, splats: Splats, model: DynamicModel) -> float:
     """How far splats on nodes come out of the box that the page holds them to be in."""
     assert splats.nodes is not None
