@@ -27,7 +27,7 @@ from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision
 from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
 from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.train_movers import Trained, train_movers, untrained_error
+from devrf.reconstruct.train_movers import Trained, train_movers, untrained_errors
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
@@ -91,7 +91,7 @@ def _movers(
 
     def better(*two: Found | None) -> bool:
         by_nodes, by_parts = (
-            math.inf if one is None else untrained_error(boxed, rest, one, options, device) for one in two
+            math.inf if one is None else untrained_errors(boxed, rest, one, options, device)[0] for one in two
         )
         followed.append(_followed(by_nodes, by_parts))
         return followed[-1].chosen == BY_PARTS
@@ -170,9 +170,8 @@ def _softened(
 ) -> tuple[list[Found], Decision]:
     """What was found, with parts that may stretch where pixels held back gain by it before training."""
     soft = [found.softened() for found in every]
-    rigid_error, soft_error = (
-        untrained_error(boxed, rest, one, options, device) for one in (every[0], soft[0])
-    )
+    motions = [every[0].movers, soft[0].movers]
+    rigid_error, soft_error = untrained_errors(boxed, rest, every[0], options, device, motions)
     gain_db = 10 * math.log10(rigid_error / soft_error)
     reason = f"soft ones gain {gain_db:+.2f} dB on pixels held back before training, expected {SOFT_GAIN_DB}"
     chosen, other = (SOFT, RIGID) if gain_db >= SOFT_GAIN_DB else (RIGID, SOFT)

@@ -8,6 +8,7 @@ of what the sweep has taught.
 
 import copy
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -109,7 +110,7 @@ def train_movers(
             checkpoint.keep(iteration, iterations, log, recipe.state)
     log.close_row()
     recipe.finish()
-    still, moving, unshaded = recipe.held_errors()
+    still, moving, unshaded = map(recipe.held_error, (None, recipe.movers, recipe.movers.unshaded()))
     return Trained(
         replace(rest, canonical=recipe.stands, shell=None, metrics={}),
         recipe.movers,
@@ -119,11 +120,27 @@ def train_movers(
     )
 
 
-def untrained_error(
-    scene: Scene, rest: RestModel, found: Found, options: MotionOptions, device: str
-) -> float:
-    """Mean squared error on pixels held back where training begins: what was found, in a little fog."""
-    return _Recipe(scene, rest, found.stands, found.movers, options, device).held_errors()[1]
+def untrained_errors(
+    scene: Scene,
+    rest: RestModel,
+    found: Found,
+    options: MotionOptions,
+    device: str,
+    motions: Sequence[Movers] = (),
+) -> list[float]:
+    """Mean squared errors on pixels held back where training begins: what was found, in a little fog.
+
+    Args:
+        scene, rest, options, device: As `train_movers`'s.
+        found: What was found.
+        motions: Motions of its parts, each of which is asked; without any, its own is.
+    """
+    recipe = _Recipe(scene, rest, found.stands, found.movers, options, device)
+    moved = (
+        replace(recipe.movers, rotations=m.rotations, shifts=m.shifts, stretches=m.stretches)
+        for m in motions or [found.movers]
+    )
+    return [recipe.held_error(movers) for movers in moved]
 
 
 class _Recipe:
@@ -283,24 +300,21 @@ class _Recipe:
             parameter.requires_grad_(False)
 
     @torch.no_grad()
-    def held_errors(self) -> tuple[float, float, float]:
-        """Mean squared errors of rays held back: if nothing moved, as it is, without shading."""
-        still = DynamicModel(self.rest)
-        placed = self.movers.placed(self.rays.times)
-        sums = torch.zeros(3, dtype=torch.float64)
+    def held_error(self, movers: Movers | None) -> float:
+        """Mean squared error of rays held back; None: if nothing moved."""
+        still, total = DynamicModel(self.rest), 0.0
+        placed = None if movers is None else movers.placed(self.rays.times)
         batch = self.held_back.rays_of(torch.arange(0, len(self.rays), HELD_EVERY))
         assert batch is not None  # some pixel of many pictures is held back
         for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
             some = self.rays.at(frame, pixel)
-            around = self.around.at(frame, pixel)
-            middle = torch.full_like(some.time, 0.5)
-            for n, movers in ((1, self.movers), (2, self.movers.unshaded())):
-                seen = self._seen(some, middle, movers, placed)
-                sums[n] += ((around.compose(seen.rgb, seen.left) - some.rgb) ** 2).sum().cpu()
-            seen = still.box_at_rest(some.rays_o, some.rays_d)
-            sums[0] += ((around.compose(seen.rgb, seen.left) - some.rgb) ** 2).sum().cpu()
-        values = (sums / (3 * len(batch.rgb))).clamp_min(1e-12).tolist()
-        return values[0], values[1], values[2]
+            if movers is None or placed is None:
+                seen = still.box_at_rest(some.rays_o, some.rays_d)
+            else:
+                seen = self._seen(some, torch.full_like(some.time, 0.5), movers, placed)
+            drawn = self.around.at(frame, pixel).compose(seen.rgb, seen.left)
+            total += float(((drawn - some.rgb).double() ** 2).sum())
+        return max(total / (3 * len(batch.rgb)), 1e-12)
 
 
 def _weighted(parts: dict[str, Tensor]) -> Tensor:

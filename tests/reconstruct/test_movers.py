@@ -39,7 +39,7 @@ from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.train_deformation import CLOCK_GAIN_DB, train_deformation
-from devrf.reconstruct.train_movers import Trained, train_movers, untrained_error
+from devrf.reconstruct.train_movers import Trained, train_movers, untrained_errors
 
 TURN = np.array([0.2, -0.3, 0.4])
 OPTIONS = MotionOptions(levels=(4,), iterations=(1,), rays=64, together=30, together_rays=512)
@@ -204,7 +204,7 @@ def test_corrections_turn_and_shift_parts_between_moments(
     if stretch is not None:
         expected = torch.linspace(-0.02, 0.03, 6)
         assert torch.allclose(more[1][torch.triu(torch.ones(3, 3)) > 0], expected, atol=1e-6)
-        assert torch.allclose(at_key.stretches, applied.stretched()[1:2])
+        assert at_key.stretches is not None and torch.allclose(at_key.stretches, applied.stretched()[1:2])
 
 
 @pytest.mark.parametrize("soft", [False, True])
@@ -528,7 +528,7 @@ def test_pixels_held_back_say_how_points_are_followed(
     session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, by_nodes, by_parts, said: str
 ) -> None:
     every = tracked(TRAVEL)
-    errors = chain((error for error in (by_nodes, by_parts) if error is not None), repeat(1.0))
+    errors = chain(([error] for error in (by_nodes, by_parts) if error is not None), repeat([1.0, 1.0]))
 
     def find(*arguments: Any) -> list[Found]:
         taken = arguments[-1](*(None if error is None else every[0] for error in (by_nodes, by_parts)))
@@ -537,7 +537,7 @@ def test_pixels_held_back_say_how_points_are_followed(
 
     module = "devrf.reconstruct.train_deformation."
     monkeypatch.setattr(module + "find_movers", find)
-    monkeypatch.setattr(module + "untrained_error", lambda *_: next(errors))
+    monkeypatch.setattr(module + "untrained_errors", lambda *_: next(errors))
     options = replace(OPTIONS, together=1)
     monkeypatch.setattr(module + "LEAST_GAIN_DB", -np.inf)
     decisions = train_deformation(session, rest, {}, options, estimator=DisFlow)[1]["decisions"]
@@ -577,7 +577,7 @@ def test_what_moves_as_found_has_a_smaller_error_before_training(
     session: Scene, rest: RestModel, tracked
 ) -> None:
     right, wrong = (
-        untrained_error(session.in_box_frame(), rest, tracked(way)[0], OPTIONS, "cpu")
+        untrained_errors(session.in_box_frame(), rest, tracked(way)[0], OPTIONS, "cpu")[0]
         for way in (TRAVEL, -TRAVEL)
     )
     assert 0 < right < wrong / 2
