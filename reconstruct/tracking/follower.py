@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.film import Film
@@ -257,11 +258,16 @@ class Follower:
             yield np.flatnonzero(lost & (piece == number))
 
     def carried(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
-        """The pose with what is lost as the nodes around it have gone, where these have gone as one; else as it is."""
+        """The pose with what is lost as the nodes around it have gone, where these have gone as one; else as it is.
+
+        Around are its neighbours in the graph; of what has none, what was near at rest.
+        """
         nodes, out = self.graph.nodes, pose
         for group in self._groups(lost):
             for rings in range(AROUND, 0, -1):
                 around = self._around(group, lost, rings)
+                if len(around) < FEWEST_AROUND:
+                    around = self._near(group, lost, rings)
                 there = (nodes + pose.shifts)[None, around]
                 if len(around) < FEWEST_AROUND:
                     break
@@ -283,6 +289,14 @@ class Follower:
         for _ in range(rings):
             near[b[near[a]]] = True
         return np.flatnonzero(near & ~lost)
+
+    def _near(
+        self, group: Int[np.ndarray, " k"], lost: Bool[np.ndarray, " n"], edges: int
+    ) -> Int[np.ndarray, " m"]:
+        """Nodes within so many mean edge lengths of some nodes at rest that are not lost."""
+        nodes = self.graph.nodes
+        away = np.asarray(KDTree(nodes[group]).query(nodes)[0])
+        return np.flatnonzero((away < edges * self.edge) & ~lost)
 
     def _stopped(self, pose: Pose) -> Pose:
         """The pose with what is lost where it was."""

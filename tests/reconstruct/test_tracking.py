@@ -220,6 +220,28 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
         assert len(np.unique(right)) == 2 and np.isfinite(right).all()
 
 
+@pytest.mark.parametrize("gap", [0.1, 1.0])
+def test_what_hangs_on_nothing_goes_along_with_what_is_near(films: list[Film], gap: float) -> None:
+    """A head above a trunk, which it does not touch; or far from it, where it stays as it is."""
+    surface, card = on_cards()
+    xyz = surface.xyz - CENTRES[card] + np.where(card[:, None] == 1, [2 * SIDE + gap, 0.0, 0.0], 0.0)
+    surface = replace(surface, xyz=xyz)
+    graph = Graph(surface)
+    head = graph.nodes[:, 0] > SIDE + gap / 2
+    turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
+    there = graph.nodes @ turn.T + [0.1, 0.0, 0.2]
+    pose = Pose(np.tile(turn, (len(there), 1, 1)), there - graph.nodes)
+    wrong = Pose(pose.rotations.copy(), pose.shifts.copy())
+    wrong.shifts[head] += [0.0, 0.0, 0.5]
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
+        assert len(np.unique(follower.things)) == 2
+        carried = follower.carried(wrong, head)
+    expected = pose if gap < 0.5 else wrong
+    assert np.allclose(carried.shifts, expected.shifts) and np.allclose(carried.rotations, expected.rotations)
+
+
 def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(films: list[Film]) -> None:
     surface, card = on_cards()
     graph = Graph(surface)
