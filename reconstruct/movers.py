@@ -28,10 +28,8 @@ from devrf.reconstruct.shading import Shading
 
 COUNTS = 1e-3  # weight from which a sample has a colour
 FARTHEST = 1e4  # box units: farther than any sample
-UPPER = (
-    (0, 0, 0, 1, 1, 2),
-    (0, 1, 2, 1, 2, 2),
-)  # rows and columns of the six entries that tell a symmetric matrix
+# Rows and columns of the six entries that tell a symmetric matrix.
+UPPER = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
 
 Grads = tuple[Tensor | None, Tensor | None, Tensor | None, Tensor | None]
 """Buffers for the gradient: density and features of what stands, then of what moves."""
@@ -62,9 +60,8 @@ class Placed(NamedTuple):
         """Its inverse: to rest."""
         if self.stretches is None:
             return self.rotations.mT
-        return (
-            torch.linalg.inv_ex(self.stretches)[0] @ self.rotations.mT
-        )  # no check, for which a GPU would wait
+        inverses = torch.linalg.inv_ex(self.stretches)[0]  # not checked: a GPU would wait for that
+        return inverses @ self.rotations.mT
 
 
 class Layered(NamedTuple):

@@ -33,10 +33,8 @@ ACCEPT_SCORE = 4.0  # standard deviations away from chance (Fisher's z with inde
 GUESSED = 3.9  # of that, at most, where only rest beyond the clips tells which peak is right
 ACCEPT_MARGIN = 0.1  # peak minus next best; periodic movement has equals one period away
 CURVE_S = 0.5
-REST_STEPS, AT_REST = (
-    4,
-    0.25,
-)  # pictures at the end of a clip; share of the range of the energy's root up to which it rests
+REST_STEPS = 4  # pictures at the end of a clip
+AT_REST = 0.25  # of the range of the energy's root: below it nothing moves
 
 RestAt = Literal["start", "end"]
 

@@ -245,30 +245,34 @@ def _with_guesses(
         left = [e for e in guesses if group[e.a] != group[e.b]]
         if not left:
             return used
-        between = [frozenset({group[e.a], group[e.b]}) for e in left]
+        offset = _within_groups(spans_s, used, group)
+        # By how much the later group of the two is behind the other one.
+        late_s = [
+            (e.delay_s + offset[e.a] - offset[e.b]) * (1 if group[e.a] < group[e.b] else -1) for e in left
+        ]
+        between = [{group[e.a], group[e.b]} for e in left]
         speaks = [
-            _speaks_for(
-                e, [other for other, those in zip(left, between, strict=True) if those == mine], spans_s, used
+            sum(
+                other.score**2
+                for other, its_late_s, its_between in zip(left, late_s, between, strict=True)
+                if its_between == mine and abs(its_late_s - s) <= np.hypot(e.std_s, other.std_s)
             )
-            for e, mine in zip(left, between, strict=True)
+            for e, s, mine in zip(left, late_s, between, strict=True)
         ]
         best = max(range(len(left)), key=lambda n: (left[n].cue == "audio", speaks[n], left[n].quality))
         used.append(left[best])
 
 
-def _speaks_for(
-    guess: Equation,
-    beside: Sequence[Equation],
-    spans_s: Mapping[str, tuple[float, float]],
-    used: Sequence[Equation],
-) -> float:
-    """How much speaks for a guess: squared distances from chance of guesses that it and what is known predict."""
-    offset = solve({guess.a: spans_s[guess.a], **spans_s}, [*used, guess]).offset_s
-    return sum(
-        e.score**2
-        for e in beside
-        if abs(e.delay_s - (offset[e.b] - offset[e.a])) <= np.hypot(e.std_s, guess.std_s)
-    )
+def _within_groups(
+    spans_s: Mapping[str, tuple[float, float]], used: Sequence[Equation], group: Mapping[str, int]
+) -> dict[str, float]:
+    """Offset of each camera from the first one of its group."""
+    offset: dict[str, float] = {}
+    for name, span in spans_s.items():
+        if name not in offset:
+            mine = {name: span} | {n: s for n, s in spans_s.items() if group[n] == group[name]}
+            offset |= solve(mine, [e for e in used if e.a in mine and e.b in mine]).offset_s
+    return offset
 
 
 def _clock(

@@ -192,7 +192,8 @@ class CaptureConfig(_Section):
     """[from, to]: the part to model, on cam0's clock; default: from the first to the last moment at which at least two
     training cameras film (one, where there is only one)."""
     rest: Rest = "auto"
-    """When the moving clips show the scene as in the sweep: start, middle, end or none; auto: that is measured."""
+    """When the moving clips show the scene as in the sweep: start, middle, end or none; auto: that is measured.
+    Start and end also help clocks without sound: nothing moves beyond that end of a clip."""
     board: BoardConfig | None = None
     """The calibration board, where one was filmed."""
     raw: RawConfig = RawConfig()

@@ -48,7 +48,7 @@ def write(request: Request) -> None:
             new,
             files="splat_0000.ply and so on: 3D Gaussians as 3D Gaussian splatting writes them, one file per time, in "
             "order (times in export.json). The same Gaussians in the same order in all files; only positions differ, "
-            "of parts that move orientations too. Colours do not depend on the direction (SH degree 0).",
+            "of rigid parts orientations too. Colours do not depend on the direction (SH degree 0).",
             axes=AXES,
             facts={
                 "files": entries,
