@@ -193,30 +193,36 @@ def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> No
     assert np.median(wrong[card == 1]) < 0.01 and not follower.lost[-1].any()
 
 
-def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) -> None:
-    surface, card = on_cards()
-    graph = Graph(surface)
-    lost = np.flatnonzero(graph.nodes[:, 0] > CENTRES[1, 0] + 0.15)
+def gone_as_one(graph: Graph, lost: np.ndarray) -> tuple[Pose, Pose]:
+    """A pose in which all nodes have turned and gone together, and the same with some of them elsewhere."""
     turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
     there = graph.nodes @ turn.T + [0.1, 0.0, 0.2]
     pose = Pose(np.tile(turn, (len(there), 1, 1)), there - graph.nodes)
     wrong = Pose(pose.rotations.copy(), pose.shifts.copy())
     wrong.shifts[lost] += [0.0, 0.0, 0.5]
+    return pose, wrong
+
+
+def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) -> None:
+    surface, card = on_cards()
+    graph = Graph(surface)
+    lost = np.flatnonzero(graph.nodes[:, 0] > CENTRES[1, 0] + 0.15)
+    pose, wrong = gone_as_one(graph, lost)
     with ThreadPoolExecutor(1) as pool:
         follower = Follower(
             surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool
         )
-        mask = np.isin(np.arange(len(there)), lost)
+        mask = np.isin(np.arange(len(graph.nodes)), lost)
         carried = follower.carried(wrong, mask)
         assert np.allclose(carried.shifts, pose.shifts) and np.allclose(carried.rotations, pose.rotations)
         shots = follower.shots(1)
         follower.found(shots, wrong, ((1.2, 0.0),))
         likeness = follower.likeness(shots, wrong)
         assert np.nanmedian(likeness[lost]) < 0.25
-        right = follower.likeness(shots, follower.found(shots, Pose.rest(len(there)), FARTHER))
+        right = follower.likeness(shots, follower.found(shots, Pose.rest(len(graph.nodes)), FARTHER))
         assert np.nanmedian(right) > 0.5
         follower.graph = graph.in_parts(card)  # of which a part is lost as a whole, or not at all
-        right = follower.likeness(shots, Pose.rest(len(there)))
+        right = follower.likeness(shots, Pose.rest(len(graph.nodes)))
         assert len(np.unique(right)) == 2 and np.isfinite(right).all()
 
 
@@ -228,11 +234,7 @@ def test_what_hangs_on_nothing_goes_along_with_what_is_near(films: list[Film], g
     surface = replace(surface, xyz=xyz)
     graph = Graph(surface)
     head = graph.nodes[:, 0] > SIDE + gap / 2
-    turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
-    there = graph.nodes @ turn.T + [0.1, 0.0, 0.2]
-    pose = Pose(np.tile(turn, (len(there), 1, 1)), there - graph.nodes)
-    wrong = Pose(pose.rotations.copy(), pose.shifts.copy())
-    wrong.shifts[head] += [0.0, 0.0, 0.5]
+    pose, wrong = gone_as_one(graph, head)
     with ThreadPoolExecutor(1) as pool:
         clocks = Offsets(np.zeros(3), surface.xyz)
         follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
