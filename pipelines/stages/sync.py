@@ -18,8 +18,8 @@ from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
+from devrf.capture.rest import Rest
 from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.clock import BY_GEOMETRY, UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
 from devrf.pipelines.health.rows import HealthRow, note, row
 from devrf.pipelines.stage import StageContext
@@ -35,7 +35,9 @@ def run(context: StageContext) -> None:
     """Write `sync.json` (clocks) and `curves.json` (the correlations they were read from)."""
     folder = context.run_dir / "ingest"
     frames = FrameSet.read(folder)
-    result = _solve(frames.moving, frames, context, context.progress, rest_at(context.config))
+    capture = context.config.capture
+    rest = rest_at(capture.rest if capture else "none")
+    result = _solve(frames.moving, frames, context, context.progress, rest)
     content: dict[str, Any] = as_dict(result)
     content["shared_s"] = list(shared_span(frames.moving, result))
     joint = {n: c for n, c in frames.cameras.items() if c.role == "joint"}
@@ -52,9 +54,8 @@ def run(context: StageContext) -> None:
     context.health.extend(health(frames.moving, result))
 
 
-def rest_at(config: SceneConfig) -> RestAt | None:
+def rest_at(said: Rest) -> RestAt | None:
     """The end of the moving clips at which they are said to show the scene at rest."""
-    said = config.capture.rest if config.capture else "none"
     return said if said in ("start", "end") else None
 
 

@@ -43,6 +43,7 @@ LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more an
 FEWEST_LOST = 2  # nodes for which other guesses are tried
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
 TELLING = 1.0  # weight of points by which a node's likeness is known
+ALONG = 0.5  # of its way that a thing is off where what is near would have taken it: a ball that rolls past is more
 AROUND, FEWEST_AROUND = 3, 4  # rings of nodes by which a lost node is carried along; fewest nodes of these
 
 
@@ -260,7 +261,7 @@ class Follower:
     def carried(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
         """The pose with what is lost as the nodes around it have gone, where these have gone as one; else as it is.
 
-        Around are its neighbours in the graph; of what has none, what was near at rest.
+        Around are its neighbours in the graph; of what has none, what was near at rest, if it went with that before.
         """
         nodes, out = self.graph.nodes, pose
         for group in self._groups(lost):
@@ -268,6 +269,8 @@ class Follower:
                 around = self._around(group, lost, rings)
                 if len(around) < FEWEST_AROUND:
                     around = self._near(group, lost, rings)
+                    if len(around) >= FEWEST_AROUND and not self._went_along(group, around):
+                        break
                 there = (nodes + pose.shifts)[None, around]
                 if len(around) < FEWEST_AROUND:
                     break
@@ -297,6 +300,15 @@ class Follower:
         nodes = self.graph.nodes
         away = np.asarray(KDTree(nodes[group]).query(nodes)[0])
         return np.flatnonzero((away < edges * self.edge) & ~lost)
+
+    def _went_along(self, group: Int[np.ndarray, " k"], with_these: Int[np.ndarray, " m"]) -> bool:
+        """Whether some nodes, when they were seen last, were about where others that are near had taken them."""
+        nodes, seen = self.graph.nodes, [~lost[group].any() for lost in self.nodes_lost]
+        there = nodes + self.poses[int(np.flatnonzero(seen)[-1])].shifts
+        (rotation,), (shift,) = motion_of(nodes[with_these], there[None, with_these])
+        taken = nodes[group] @ rotation.T + shift
+        off, way = (np.linalg.norm(there[group] - x, axis=1).mean() for x in (taken, nodes[group]))
+        return bool(off < ALONG * way)
 
     def _stopped(self, pose: Pose) -> Pose:
         """The pose with what is lost where it was."""

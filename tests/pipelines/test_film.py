@@ -220,7 +220,7 @@ def test_another_model_is_another_film(scene: Path, capsys: pytest.CaptureFixtur
         (
             {"without": "1"},
             "option-misplaced",
-            "--without 1: what moves in this scene is not made of rigid parts",
+            "--without 1: what moves in this scene is not made of parts",
         ),
         ({"fps": 200.0, "seconds": 200.0}, "film-too-long", " 20000 "),
         ({"format": "webp", "fps": 30.0, "seconds": 20.0}, "film-too-long", " 500 "),

@@ -45,7 +45,8 @@ def sound(offset_s: float, seconds: float = 4.0) -> Sound:
 
 def context(tmp_path: Path, method: str = "auto") -> StageContext:
     config: Any = SimpleNamespace(
-        calibration=SimpleNamespace(sync=SimpleNamespace(method=method, av_lag_s={}, readout_s={}))
+        calibration=SimpleNamespace(sync=SimpleNamespace(method=method, av_lag_s={}, readout_s={})),
+        capture=SimpleNamespace(rest="start"),
     )
     out = tmp_path / "sync"
     out.mkdir()

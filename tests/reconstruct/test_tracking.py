@@ -226,9 +226,13 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
         assert len(np.unique(right)) == 2 and np.isfinite(right).all()
 
 
-@pytest.mark.parametrize("gap", [0.1, 1.0])
-def test_what_hangs_on_nothing_goes_along_with_what_is_near(films: list[Film], gap: float) -> None:
-    """A head above a trunk, which it does not touch; or far from it, where it stays as it is."""
+@pytest.mark.parametrize(
+    ("gap", "along", "goes"), [(0.1, True, True), (0.1, False, False), (1.0, True, False)]
+)
+def test_what_hangs_on_nothing_goes_along_with_what_is_near(
+    films: list[Film], gap: float, along: bool, goes: bool
+) -> None:
+    """A head above a trunk, which it does not touch; not what came from elsewhere, nor what is far."""
     surface, card = on_cards()
     xyz = surface.xyz - CENTRES[card] + np.where(card[:, None] == 1, [2 * SIDE + gap, 0.0, 0.0], 0.0)
     surface = replace(surface, xyz=xyz)
@@ -239,8 +243,13 @@ def test_what_hangs_on_nothing_goes_along_with_what_is_near(films: list[Film], g
         clocks = Offsets(np.zeros(3), surface.xyz)
         follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
         assert len(np.unique(follower.things)) == 2
+        before = Pose(pose.rotations, 0.5 * pose.shifts)
+        if not along:
+            before.shifts[head] *= -1
+        follower._come_to(before, np.zeros(len(head), dtype=bool))
+        follower._come_to(before, head)
         carried = follower.carried(wrong, head)
-    expected = pose if gap < 0.5 else wrong
+    expected = pose if goes else wrong
     assert np.allclose(carried.shifts, expected.shifts) and np.allclose(carried.rotations, expected.rotations)
 
 
