@@ -43,7 +43,7 @@ LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more an
 FEWEST_LOST = 2  # nodes for which other guesses are tried
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
 TELLING = 1.0  # weight of points by which a node's likeness is known
-ALONG = 0.5  # of its way that a thing is off where what is near would have taken it: a ball that rolls past is more
+ALONG = 0.9  # of its way: a thing is less off where what is near would have taken it; a ball that rolls past is not
 AROUND, FEWEST_AROUND = 3, 4  # rings of nodes by which a lost node is carried along; fewest nodes of these
 
 
