@@ -91,7 +91,10 @@ def _movers(
 
     def better(*two: Found | None) -> bool:
         by_nodes, by_parts = (
-            math.inf if one is None else untrained_errors(boxed, rest, one, options, device)[0] for one in two
+            math.inf
+            if one is None
+            else untrained_errors(boxed, rest, one.stands, [one.movers], options, device)[0]
+            for one in two
         )
         followed.append(_followed(by_nodes, by_parts))
         return followed[-1].chosen == BY_PARTS
@@ -171,7 +174,7 @@ def _softened(
     """What was found, with parts that may stretch where pixels held back gain by it before training."""
     soft = [found.softened() for found in every]
     motions = [every[0].movers, soft[0].movers]
-    rigid_error, soft_error = untrained_errors(boxed, rest, every[0], options, device, motions)
+    rigid_error, soft_error = untrained_errors(boxed, rest, every[0].stands, motions, options, device)
     gain_db = 10 * math.log10(rigid_error / soft_error)
     reason = f"soft ones gain {gain_db:+.2f} dB on pixels held back before training, expected {SOFT_GAIN_DB}"
     chosen, other = (SOFT, RIGID) if gain_db >= SOFT_GAIN_DB else (RIGID, SOFT)

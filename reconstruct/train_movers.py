@@ -32,7 +32,6 @@ from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.surroundings import PixelSurroundings
-from devrf.reconstruct.tracking.find import Found
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 
@@ -123,22 +122,18 @@ def train_movers(
 def untrained_errors(
     scene: Scene,
     rest: RestModel,
-    found: Found,
+    stands: Canonical,
+    motions: Sequence[Movers],
     options: MotionOptions,
     device: str,
-    motions: Sequence[Movers] = (),
 ) -> list[float]:
-    """Mean squared errors on pixels held back where training begins: what was found, in a little fog.
+    """Mean squared errors on pixels held back where training begins, in a little fog, of motions of the same parts.
 
-    Args:
-        scene, rest, options, device: As `train_movers`'s.
-        found: What was found.
-        motions: Motions of its parts, each of which is asked; without any, its own is.
+    Arguments as `train_movers`'s.
     """
-    recipe = _Recipe(scene, rest, found.stands, found.movers, options, device)
+    recipe = _Recipe(scene, rest, stands, motions[0], options, device)
     moved = (
-        replace(recipe.movers, rotations=m.rotations, shifts=m.shifts, stretches=m.stretches)
-        for m in motions or [found.movers]
+        replace(recipe.movers, rotations=m.rotations, shifts=m.shifts, stretches=m.stretches) for m in motions
     )
     return [recipe.held_error(movers) for movers in moved]
 

@@ -11,12 +11,13 @@ from jaxtyping import Float
 from devrf.calibration.clocks import sound_faults
 from devrf.calibration.clocks.equations import Equation, PairCue, groups
 from devrf.calibration.clocks.flash import Brightness, Flashes, find_flashes, flash_delay
-from devrf.calibration.clocks.motion import MotionDelay, RestAt, motion_delay
+from devrf.calibration.clocks.motion import MotionDelay, motion_delay
 from devrf.calibration.clocks.sound import ACCEPT_RATIO, SoundDelay, sound_delay
 from devrf.calibration.clocks.times import stated_delay
 from devrf.capture.audio import Sound
 from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
+from devrf.capture.rest import Rest
 
 GUESS_RATIO = 1.5  # a refused cue this good is still taken as a guess, with a confidence below one half
 GUESS_SCORE = 2.0
@@ -82,14 +83,14 @@ class Extras:
         recorded: Camera -> what its file says of its beginning.
         av_lag_s: Camera -> how late its sound is behind its pictures.
         readout_s: Camera -> time from the first row's reading to the last one's.
-        rest: The end of the clips at which they show the scene at rest; None: at neither, or not known.
+        rest: When the clips show the scene at rest.
     """
 
     brightness: Mapping[str, Brightness] = field(default_factory=dict)
     recorded: Mapping[str, Recorded] = field(default_factory=dict)
     av_lag_s: Mapping[str, float] = field(default_factory=dict)
     readout_s: Mapping[str, float] = field(default_factory=dict)
-    rest: RestAt | None = None
+    rest: Rest = "none"
 
 
 @dataclass
@@ -221,11 +222,11 @@ def watch(
     motion: Mapping[str, Float[np.ndarray, "_ 2"]],
     out: Evidence,
     progress: Progress,
-    rest: RestAt | None = None,
+    rest: Rest = "none",
 ) -> None:
     """Compare motion: for the clocks where sound and flashes do not connect two cameras, else as a check.
 
-    `rest`: the end of the clips at which they show the scene at rest.
+    `rest`: when the clips show the scene at rest.
     """
     seen = [n for n in names if n in motion]
     group = groups(names, out.accepted())

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from scipy.signal import find_peaks
 
 from devrf.calibration.clocks.sound import fast_size
+from devrf.capture.rest import Rest
 
 OVERSAMPLING = 4  # grid points per frame step
 MIN_OVERLAP_SHARE = 0.5  # of the shorter clip: less would let two single gestures match by chance
@@ -35,8 +36,6 @@ ACCEPT_MARGIN = 0.1  # peak minus next best; periodic movement has equals one pe
 CURVE_S = 0.5
 REST_STEPS = 4  # pictures at the end of a clip
 AT_REST = 0.25  # of the range of the energy's root: below it nothing moves
-
-RestAt = Literal["start", "end"]
 
 
 @dataclass(frozen=True)
@@ -73,13 +72,13 @@ class MotionDelay:
 
 
 def motion_delay(
-    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], rest: RestAt | None = None
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], rest: Rest = "none"
 ) -> MotionDelay | None:
     """Delay between two clips by their motion energies.
 
     Args:
         first, second: Rows of (time, energy).
-        rest: The end of the clips at which they show the scene at rest, which it also was beyond.
+        rest: When the clips show the scene at rest; at the start or end it rested beyond, too.
     Returns:
         None where a clip is too short, or nothing moves in it.
     """
@@ -90,20 +89,20 @@ def motion_delay(
         return None
     a_s, b_s = first[:, 0], second[:, 0]
     plain = course_delay(a_s, a[:, None], b_s, b[:, None])
-    if rest is None:
+    if rest not in ("start", "end"):
         return plain
     (a_s, a), (b_s, b) = _beyond(a_s, a, rest), _beyond(b_s, b, rest)
     longer = course_delay(a_s, a[:, None], b_s, b[:, None])
-    if plain is None or longer is None:
-        return longer or plain
     # At rest all lags nearly agree: that tells which peak is right, but less of where it is, and is no second proof.
-    if abs(plain.delay_s - longer.delay_s) <= np.hypot(plain.std_s, longer.std_s):
+    if longer is None or (
+        plain is not None and abs(plain.delay_s - longer.delay_s) <= np.hypot(plain.std_s, longer.std_s)
+    ):
         return plain
     return replace(longer, score=min(longer.score, GUESSED))
 
 
 def _beyond(
-    time_s: Float[np.ndarray, " n"], root: Float[np.ndarray, " n"], rest: RestAt
+    time_s: Float[np.ndarray, " n"], root: Float[np.ndarray, " n"], rest: Literal["start", "end"]
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """The course with as much rest before or after it as it is long, if it rests at that end."""
     if rest == "end":

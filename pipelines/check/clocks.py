@@ -31,8 +31,8 @@ def clock_rows(
         courses = {name: read_courses(path, seconds) for name, path in clips}
         brightness = {n: Brightness(c.brightness[:, 0], c.brightness[:, 1:]) for n, c in courses.items()}
         motion = {n: c.motion for n, c in courses.items()}
-        rest = sync.rest_at(config.capture.rest if config.capture else "none")
-        rest = None if rest == "end" else rest  # of a long clip the end is not read
+        # Of a long clip the end is not read.
+        rest = "start" if config.capture and config.capture.rest == "start" else "none"
         extras = Extras(brightness, sync.recorded(moving), settings.av_lag_s, settings.readout_s, rest)
         return synchronise(spans, sounds, motion, settings.method, table, extras=extras)
 

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from devrf.calibration.clocks.evidence import Curve, Extras
 from devrf.calibration.clocks.flash import Brightness
-from devrf.calibration.clocks.motion import RestAt
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.frames import CameraFrames, FrameSet
@@ -36,7 +35,7 @@ def run(context: StageContext) -> None:
     folder = context.run_dir / "ingest"
     frames = FrameSet.read(folder)
     capture = context.config.capture
-    rest = rest_at(capture.rest if capture else "none")
+    rest = capture.rest if capture else "none"
     result = _solve(frames.moving, frames, context, context.progress, rest)
     content: dict[str, Any] = as_dict(result)
     content["shared_s"] = list(shared_span(frames.moving, result))
@@ -54,11 +53,6 @@ def run(context: StageContext) -> None:
     context.health.extend(health(frames.moving, result))
 
 
-def rest_at(said: Rest) -> RestAt | None:
-    """The end of the moving clips at which they are said to show the scene at rest."""
-    return said if said in ("start", "end") else None
-
-
 def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
     """What the files say of when they begin."""
     return {n: Recorded(c.created_s, c.timecode_s, c.timecode_fps) for n, c in cameras.items()}
@@ -69,7 +63,7 @@ def _solve(
     frames: FrameSet,
     context: StageContext,
     progress: Progress,
-    rest: RestAt | None = None,
+    rest: Rest = "none",
 ) -> SyncResult:
     folder, config = context.run_dir / "ingest", context.config.calibration.sync
     times = {name: used_times(camera) for name, camera in cameras.items()}

@@ -261,16 +261,14 @@ class Follower:
     def carried(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
         """The pose with what is lost as the nodes around it have gone, where these have gone as one; else as it is.
 
-        Around are its neighbours in the graph; of what has none, what was near at rest, if it went with that before.
+        Around are its neighbours in the graph; of what has hardly any, what it was near to and went along with.
         """
         nodes, out = self.graph.nodes, pose
         for group in self._groups(lost):
             for rings in range(AROUND, 0, -1):
                 around = self._around(group, lost, rings)
                 if len(around) < FEWEST_AROUND:
-                    around = self._near(group, lost, rings)
-                    if len(around) >= FEWEST_AROUND and not self._went_along(group, around):
-                        break
+                    around = self._gone_along_with(group, lost, rings)
                 there = (nodes + pose.shifts)[None, around]
                 if len(around) < FEWEST_AROUND:
                     break
@@ -293,22 +291,22 @@ class Follower:
             near[b[near[a]]] = True
         return np.flatnonzero(near & ~lost)
 
-    def _near(
+    def _gone_along_with(
         self, group: Int[np.ndarray, " k"], lost: Bool[np.ndarray, " n"], edges: int
     ) -> Int[np.ndarray, " m"]:
-        """Nodes within so many mean edge lengths of some nodes at rest that are not lost."""
+        """Nodes within so many mean edge lengths of some nodes at rest that are not lost; none if the latter, when they
+        were seen last, were elsewhere than these had taken them."""
         nodes = self.graph.nodes
         away = np.asarray(KDTree(nodes[group]).query(nodes)[0])
-        return np.flatnonzero((away < edges * self.edge) & ~lost)
-
-    def _went_along(self, group: Int[np.ndarray, " k"], with_these: Int[np.ndarray, " m"]) -> bool:
-        """Whether some nodes, when they were seen last, were about where others that are near had taken them."""
-        nodes, seen = self.graph.nodes, [~lost[group].any() for lost in self.nodes_lost]
-        there = nodes + self.poses[int(np.flatnonzero(seen)[-1])].shifts
-        (rotation,), (shift,) = motion_of(nodes[with_these], there[None, with_these])
+        near = np.flatnonzero((away < edges * self.edge) & ~lost)
+        if len(near) < FEWEST_AROUND:
+            return near
+        seen = max(moment for moment, lost_then in enumerate(self.nodes_lost) if not lost_then[group].any())
+        there = nodes + self.poses[seen].shifts
+        (rotation,), (shift,) = motion_of(nodes[near], there[None, near])
         taken = nodes[group] @ rotation.T + shift
         off, way = (np.linalg.norm(there[group] - x, axis=1).mean() for x in (taken, nodes[group]))
-        return bool(off < ALONG * way)
+        return near if off < ALONG * way else near[:0]
 
     def _stopped(self, pose: Pose) -> Pose:
         """The pose with what is lost where it was."""

@@ -202,10 +202,9 @@ def test_rest_beyond_the_clips_tells_which_half_of_a_movement_is_which(end: bool
     found = motion_delay(one, other, "end" if end else "start")
     assert found is not None and abs(found.delay_s) < 0.1 and not found.accepted
     cut = one[(time_s > 0.7) & (time_s < 2.7)], other[(time_s > 0.7) & (time_s < 2.7)]
-    moving = (motion_delay(*cut, rest) for rest in (None, "end" if end else "start"))
-    assert (
-        len({None if m is None else m.delay_s for m in moving}) == 1
-    )  # a clip that begins in motion says nothing of before
+    moving = [motion_delay(*cut, rest) for rest in ("none", "end" if end else "start")]
+    delays_s = {None if m is None else m.delay_s for m in moving}
+    assert len(delays_s) == 1  # a clip that begins in motion says nothing of before
 
 
 def test_of_guesses_those_count_that_most_others_agree_with() -> None:

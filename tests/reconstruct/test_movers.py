@@ -42,6 +42,7 @@ from devrf.reconstruct.train_deformation import CLOCK_GAIN_DB, train_deformation
 from devrf.reconstruct.train_movers import Trained, train_movers, untrained_errors
 
 TURN = np.array([0.2, -0.3, 0.4])
+STRETCH = np.array([[1.25, 0.08, 0.0], [0.08, 0.85, -0.05], [0.0, -0.05, 1.1]])
 OPTIONS = MotionOptions(levels=(4,), iterations=(1,), rays=64, together=30, together_rays=512)
 
 
@@ -74,9 +75,6 @@ def whole(
         shares = np.array([0.0, 0.5, 1.0])[:, None, None]
         movers.stretches = torch.from_numpy(np.eye(3) + shares * (stretch - np.eye(3))).float()[:, None]
     return DynamicModel.of_movers(rest, replace(rest, canonical=stands), movers, 5, 0.0)
-
-
-STRETCH = np.array([[1.25, 0.08, 0.0], [0.08, 0.85, -0.05], [0.0, -0.05, 1.1]])
 
 
 @pytest.mark.parametrize("deferred", [False, True])
@@ -576,10 +574,9 @@ def test_parts_are_soft_where_pixels_held_back_gain_by_it(
 def test_what_moves_as_found_has_a_smaller_error_before_training(
     session: Scene, rest: RestModel, tracked
 ) -> None:
-    right, wrong = (
-        untrained_errors(session.in_box_frame(), rest, tracked(way)[0], OPTIONS, "cpu")[0]
-        for way in (TRAVEL, -TRAVEL)
-    )
+    found, away = tracked(TRAVEL, -TRAVEL)
+    motions = [found.movers, away.movers]
+    right, wrong = untrained_errors(session.in_box_frame(), rest, found.stands, motions, OPTIONS, "cpu")
     assert 0 < right < wrong / 2
 
 
