@@ -230,9 +230,9 @@ def test_parts_that_move_are_listed(tmp_path):
     part = {"part": 7, "at": [0.25, -1.5, 0.0], "points": 4321, "goes": 0.875, "longest_lost": 3}
     write_json(tmp_path / "deformation/metrics.json", {"rigid_parts": [part, "damaged"]})
     _, page = _page(tmp_path)
-    assert "7 0.25, -1.5, 0.0 4321 0.875 3" in page.text
+    assert "What moves, in parts" in page.text and "7 0.25, -1.5, 0.0 4321 0.875 3" in page.text
     write_json(tmp_path / "deformation/metrics.json", {"rigid_parts": "damaged"})
-    assert "as rigid parts" not in _page(tmp_path)[1].text
+    assert "What moves, in parts" not in _page(tmp_path)[1].text
 
 
 def test_what_is_not_there_is_said(full_run, tmp_path):
