@@ -20,6 +20,7 @@ PICTURES, SHARP = (
 )  # of a film that are remembered: those that points were first seen in are asked again and again
 # Of the high-pass: standard deviations at a longest side of 640 pixels, and what keeps the logarithm finite.
 FINE_PX, COARSE_PX, DARK, REFERENCE_SIDE = 0.7, 6.0, 0.05, 640
+WIDE_PX = 24.0  # instead of COARSE_PX: flow finds no way that is much longer than what pictures keep is wide
 ROW = 1024  # points that are looked up in a row
 GREY_GAIN = 300  # levels of 8 bits for a contrast of 1 in the logarithm
 
@@ -62,14 +63,18 @@ class Film:
         """`high_pass` of a picture."""
         return _remembered(self._sharp, n, SHARP, lambda: self.high_pass(self.picture(n)))
 
-    def high_pass(self, picture: Picture) -> Picture:
+    def wide(self, n: int) -> Picture:
+        """The same with what is wider, by which things are found that went far; shading is in it, too."""
+        return self.high_pass(self.picture(n), WIDE_PX)
+
+    def high_pass(self, picture: Picture, coarse_px: float = COARSE_PX) -> Picture:
         """Contrast in the logarithm of brightness: without shading, which is no motion, and without noise.
 
         Of a whole picture of the film or of a piece of one.
         """
         scale = max(self.camera.width, self.camera.height) / REFERENCE_SIDE
         logarithm = np.log(picture + DARK)
-        return blurred(logarithm, FINE_PX * scale) - blurred(logarithm, COARSE_PX * scale)
+        return blurred(logarithm, FINE_PX * scale) - blurred(logarithm, coarse_px * scale)
 
     def flow(self, one: Picture, other: Picture) -> tuple[np.ndarray, np.ndarray]:
         """Flow between two high-pass pictures, and by how many pixels the flow back misses."""

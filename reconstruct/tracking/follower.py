@@ -7,8 +7,8 @@ Pictures count at their exact times: a point of a picture at time t lies on the 
 
 Where pictures show what stands behind instead of a node's points, or those of the rigid part that it belongs to, the
 node is lost. What pictures seem to want of its points is then mostly chance, and would pull what is around, too: it
-only counts where all that hangs together is lost. The node is looked for again from other guesses: where it was, and
-carried along by what is around it; until it is found it is carried along.
+only counts where all that hangs together is lost. The node is looked for again from other guesses: carried along by
+what is around it, where it was, and as far away as flow finds it; until it is found it is carried along.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -80,8 +80,7 @@ class Follower:
         """To the next moment."""
         graph, surface, shots = self.graph, self.surface, self.shots(moment)
         self._come(shots, moment)
-        expected = self.carried(graph.rigid(_ahead(*[self.poses[0], *self.poses][-2:])), self.lost_nodes)
-        found = expected
+        found = expected = self._expected()
         if len(shots) >= FEWEST_CAMERAS:
             found = self.found(shots, expected, SIGMAS, believed=self._believed())
             likeness = self.likeness(shots, found)
@@ -135,8 +134,13 @@ class Follower:
                 out.append(Shot(camera, known, n, 1 + (float(known.film.times[n]) + late - time) / self.gap))
         return out
 
-    def _come(self, shots: Sequence[Shot], moment: int) -> None:
-        """Where points come from the pictures before."""
+    def _expected(self) -> Pose:
+        """Where everything is if it goes on, and what is lost goes along."""
+        ahead = _ahead(*[self.poses[0], *self.poses][-2:])
+        return self.carried(self.graph.rigid(ahead), self.nodes_lost[-1])
+
+    def _come(self, shots: Sequence[Shot], moment: int, far: bool = False) -> None:
+        """Where points come from the pictures before; how far they may have come."""
         now = self.xyz[-1]
         was = self.xyz[-2] if len(self.xyz) > 1 else now
         normals = self.graph.turned(self.poses[-1], self.surface.normals)
@@ -146,7 +150,8 @@ class Follower:
                 taken = float(shot.film.times[shot.n - 1]) + self.offsets.now[shot.camera]
                 share = 1 + (taken - float(self.times[moment - 1])) / self.gap
                 at = was + share * (now - was)
-                begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, ~self.lost[-1]))
+                known = ~self.lost[-1]
+                begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, known, far))
         _each(begun)
 
     def found(
@@ -175,12 +180,21 @@ class Follower:
                 for shot in shots
             )
             for _ in range(STEPS):
-                xyz = graph.points(found)
-                pulls = Sum(len(surface))
-                for shot in shots:
-                    shot.pull(now + shot.share * (xyz - now), pulls)
-                found = step(graph, found, expected, pulls.of(believed))
+                found = self._step(shots, found, expected, believed)
         return found
+
+    def _step(
+        self,
+        shots: Sequence[Shot],
+        found: Pose,
+        expected: Pose,
+        believed: Bool[np.ndarray, " p"] | None = None,
+    ) -> Pose:
+        """A little nearer to what the pictures show."""
+        now, xyz, pulls = self.xyz[-1], self.graph.points(found), Sum(len(self.surface))
+        for shot in shots:
+            shot.pull(now + shot.share * (xyz - now), pulls)
+        return step(self.graph, found, expected, pulls.of(believed))
 
     def _time(self, shots: Sequence[Shot], found: Pose) -> None:
         """See where along their way the cameras show points that are not lost."""
@@ -198,8 +212,8 @@ class Follower:
         wanted = self.lost_nodes & (moment - self.sought >= SEEK_EVERY)
         if wanted.sum() >= FEWEST_LOST:
             asked = self._points(self.lost_nodes)
-            for guess in (self.carried(found, self.lost_nodes), self._stopped(found)):
-                other = self.found(shots, guess, FARTHER, asked)
+            for guess in (self._gone_along, self._stopped, self._gone_far):
+                other = self.found(shots, guess(shots, found, moment), FARTHER, asked)
                 liked = self.likeness(shots, other)
                 for group in self._groups(self.lost_nodes):
                     if _more(liked[group], likeness[group]) > AGAIN:
@@ -210,6 +224,22 @@ class Follower:
                     break
             self.sought[self.lost_nodes & wanted] = moment
         return self._carried_if_better(shots, found, likeness)
+
+    def _gone_along(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
+        """The pose with what is lost carried along."""
+        return self.carried(found, self.lost_nodes)
+
+    def _stopped(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
+        """The pose with what is lost where it was."""
+        return _with(found, self.poses[-1], np.flatnonzero(self.lost_nodes))
+
+    def _gone_far(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
+        """The pose with what is lost where it comes from the pictures before, if it came far."""
+        self._come(shots, moment, far=True)
+        far = expected = self._expected()
+        for _ in range(2 * STEPS):
+            far = self._step(shots, far, expected)
+        return _with(found, far, np.flatnonzero(self.lost_nodes))
 
     def _carried_if_better(
         self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"]
@@ -307,10 +337,6 @@ class Follower:
         taken = nodes[group] @ rotation.T + shift
         off, way = (np.linalg.norm(there[group] - x, axis=1).mean() for x in (taken, nodes[group]))
         return near if off < ALONG * way else near[:0]
-
-    def _stopped(self, pose: Pose) -> Pose:
-        """The pose with what is lost where it was."""
-        return _with(pose, self.poses[-1], np.flatnonzero(self.lost_nodes))
 
 
 def _pieces(pairs: Int[np.ndarray, "k 2"], nodes: int) -> Int[np.ndarray, " n"]:

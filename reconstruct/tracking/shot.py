@@ -63,13 +63,21 @@ class Shot:
         self.came: tuple[np.ndarray, np.ndarray, np.ndarray] = none, np.zeros((0, 2)), np.zeros(0)
         self.points: Int[np.ndarray, " m"] = none
 
-    def come(self, xyz: np.ndarray, normals: np.ndarray, spacing: float, known: np.ndarray) -> None:
-        """Where optical flow brings `known` points from the picture before, in which they are at `xyz`."""
+    def come(
+        self, xyz: np.ndarray, normals: np.ndarray, spacing: float, known: np.ndarray, far: bool = False
+    ) -> None:
+        """Where optical flow brings `known` points from the picture before, in which they are at `xyz`.
+
+        How `far` they may have come: flow that finds long ways is less exact. What else was known of the picture is
+        forgotten.
+        """
+        self.points = self.points[:0]
         sight = Sight(self.film, xyz, normals, spacing)
         points = np.flatnonzero(sight.seen & known)
         if len(points) < FEWEST_SEEN:
             return
-        flow, missed = self.film.flow(self.film.sharp(self.n - 1), self.film.sharp(self.n))
+        shown = self.film.wide if far else self.film.sharp
+        flow, missed = self.film.flow(shown(self.n - 1), shown(self.n))
         at = sight.at[points]
         self.came = points, at + sampled(flow, at), np.exp(-(sampled(missed, at) ** 2))
 

@@ -193,6 +193,28 @@ def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> No
     assert np.median(wrong[card == 1]) < 0.01 and not follower.lost[-1].any()
 
 
+@pytest.mark.parametrize("far", [True, False])
+def test_what_goes_far_from_one_picture_to_the_next_is_found(tmp_path: Path, monkeypatch, far: bool) -> None:
+    """By a twelfth of the picture. Of its coarse pattern the high-pass by which all is exact keeps little."""
+    coarse = [gaussian_filter(np.random.default_rng(n).random((256, 256, 3)), (12, 12, 0)) for n in range(3)]
+    monkeypatch.setattr(f"{__name__}.TEXTURES", [np.clip(0.5 + 16 * (x - 0.5), 0.05, 0.95) for x in coarse])
+    films = filmed(tmp_path, np.array([0.5, 1.0]))
+    surface, card = on_cards()
+    true = true_tracks(surface, card, np.array([1.0]))[0]
+    camera = films[0].camera
+    way = np.linalg.norm(camera.project(true) - camera.project(surface.xyz), axis=1)
+    assert np.median(way) > 15  # of 180 pixels
+    with ThreadPoolExecutor(1) as pool:
+        follower = Follower(
+            surface, Graph(surface), films, films[0].times, Offsets(np.zeros(3), surface.xyz), pool
+        )
+        if not far:
+            monkeypatch.setattr(follower, "_gone_far", lambda shots, found, moment: found)
+        follower.go_on(1)
+    wrong = np.linalg.norm(follower.xyz[-1] - true, axis=-1)
+    assert (np.median(wrong) < 0.01) == far and follower.lost[-1].any() != far
+
+
 def gone_as_one(graph: Graph, lost: np.ndarray) -> tuple[Pose, Pose]:
     """A pose in which all nodes have turned and gone together, and the same with some of them elsewhere."""
     turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
