@@ -23,6 +23,7 @@ from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grown
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.held_back import HeldBack
+from devrf.reconstruct.held_gain import held_error
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
 from devrf.reconstruct.model import Around, DynamicModel
 from devrf.reconstruct.movers import NO_GRADS, Grads, Layered, Movers, Placed, render_layered
@@ -47,7 +48,6 @@ ZONE = (
 )
 OCCUPANCY_EVERY = 50  # iterations
 LOG_EVERY = 50
-AT_ONCE, HELD_EVERY = 1 << 13, 4  # held-back rays; pictures of which one is asked
 
 
 @dataclass(frozen=True)
@@ -297,19 +297,13 @@ class _Recipe:
     @torch.no_grad()
     def held_error(self, movers: Movers | None) -> float:
         """Mean squared error of rays held back; None: if nothing moved."""
-        still, total = DynamicModel(self.rest), 0.0
-        placed = None if movers is None else movers.placed(self.rays.times)
-        batch = self.held_back.rays_of(torch.arange(0, len(self.rays), HELD_EVERY))
-        assert batch is not None  # some pixel of many pictures is held back
-        for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
-            some = self.rays.at(frame, pixel)
-            if movers is None or placed is None:
-                seen = still.box_at_rest(some.rays_o, some.rays_d)
-            else:
-                seen = self._seen(some, torch.full_like(some.time, 0.5), movers, placed)
-            drawn = self.around.at(frame, pixel).compose(seen.rgb, seen.left)
-            total += float(((drawn - some.rgb).double() ** 2).sum())
-        return max(total / (3 * len(batch.rgb)), 1e-12)
+        still, asked = DynamicModel(self.rest), (self.rays, self.held_back, self.around)
+        if movers is None:
+            return held_error(*asked, lambda some: still.box_at_rest(some.rays_o, some.rays_d))
+        placed = movers.placed(self.rays.times)
+        return held_error(
+            *asked, lambda some: self._seen(some, torch.full_like(some.time, 0.5), movers, placed)
+        )
 
 
 def _weighted(parts: dict[str, Tensor]) -> Tensor:

@@ -25,6 +25,7 @@ from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.geometry.field import field_at, moved
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.guard import diverged
+from devrf.reconstruct.held_gain import held_gain_db
 from devrf.reconstruct.model import DynamicModel, render_layers, render_view
 from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
 from devrf.reconstruct.movers import Movers, render_layered
@@ -43,6 +44,9 @@ from devrf.reconstruct.train_movers import Trained, train_movers, untrained_erro
 
 TURN = np.array([0.2, -0.3, 0.4])
 STRETCH = np.array([[1.25, 0.08, 0.0], [0.08, 0.85, -0.05], [0.0, -0.05, 1.1]])
+COST = {
+    "seconds": 1.0, "iterations": 5, "rays": 9, "restarts": 0, "rate": 1.0, "peak_rss_gb": 1.0, "peak_gpu_gb": None
+}  # fmt: skip
 OPTIONS = MotionOptions(levels=(4,), iterations=(1,), rays=64, together=30, together_rays=512)
 
 
@@ -510,6 +514,10 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert [row.verdict for row in mover_rows(metrics)] == ["ok", "ok"]
     assert metrics["rigid_parts"][0]["longest_lost"] == 0 and metrics["lost_share"] == 0
     assert metrics["clock_offsets_s"] == {}
+    gains = [
+        held_gain_db(session.in_box_frame(), one, "cpu") for one in (DynamicModel(rest, model.motion), model)
+    ]
+    assert 3 < gains[0] < gains[1]  # what stood behind is not in the field
 
 
 @pytest.mark.parametrize(
@@ -537,7 +545,7 @@ def test_pixels_held_back_say_how_points_are_followed(
     monkeypatch.setattr(module + "find_movers", find)
     monkeypatch.setattr(module + "untrained_errors", lambda *_: next(errors))
     options = replace(OPTIONS, together=1)
-    monkeypatch.setattr(module + "LEAST_GAIN_DB", -np.inf)
+    monkeypatch.setattr(module + "DOUBTED_DB", -np.inf)
     decisions = train_deformation(session, rest, {}, options, estimator=DisFlow)[1]["decisions"]
     assert decisions[0].startswith(f"tracks: {said}")
     # By rigid parts nothing stretches, and nobody asks.
@@ -600,23 +608,44 @@ def test_clocks_are_moved_for_a_clear_gain_only(
 ) -> None:
     tracked(TRAVEL, TRAVEL)
     model, gains = whole(rest, TRAVEL), iter((8.0, 8.0 + gain_db))
-    cost = {
-        "seconds": 1.0,
-        "iterations": 5,
-        "rays": 9,
-        "restarts": 0,
-        "peak_rss_gb": 1.0,
-        "peak_gpu_gb": None,
-    }
 
     def train(*_: Any) -> Trained:
         assert model.movers is not None and model.in_motion is not None
-        return Trained(model.in_motion, model.movers, next(gains), 7.0, {**cost, "rate": 1.0})
+        return Trained(model.in_motion, model.movers, next(gains), 7.0, COST)
 
     monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", train)
     _, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert metrics["clock_offsets_s"] == ({"cam1": 0.02} if gain_db > CLOCK_GAIN_DB else {})
     assert metrics["iterations"] == 10
+
+
+@pytest.mark.parametrize(("parts_db", "field_db"), [(3.5, None), (2.0, 1.5), (2.0, 2.5)])
+def test_a_field_is_trained_too_where_movers_explain_little(
+    session: Scene,
+    rest: RestModel,
+    tracked,
+    monkeypatch: pytest.MonkeyPatch,
+    parts_db: float,
+    field_db: float | None,
+) -> None:
+    tracked(TRAVEL)
+    model, module = whole(rest, TRAVEL), "devrf.reconstruct.train_deformation."
+    assert model.movers is not None and model.in_motion is not None
+    trained = Trained(model.in_motion, model.movers, parts_db + 1, parts_db, COST)
+    asked = Mock(return_value=field_db)
+    monkeypatch.setattr(module + "train_movers", lambda *_: trained)
+    monkeypatch.setattr(module + "_field", lambda *_: (DynamicModel(rest), {**COST, "decisions": []}))
+    monkeypatch.setattr(module + "held_gain_db", asked)
+    found, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    if field_db is None:
+        assert found.movers is not None and not asked.called and metrics["iterations"] == 5
+        return
+    better = field_db > parts_db
+    assert (found.movers is None) == better and metrics["iterations"] == 10
+    assert metrics["decisions"][-1] == (
+        f"movers: {'none instead of 1 parts' if better else '1 parts instead of a field'} "
+        f"(on pixels held back a field gains {field_db:+.2f} dB, 1 parts {parts_db:+.2f} without shading)"
+    )
 
 
 @pytest.mark.full
