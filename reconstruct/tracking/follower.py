@@ -140,7 +140,7 @@ class Follower:
         return self.carried(self.graph.rigid(ahead), self.nodes_lost[-1])
 
     def _come(self, shots: Sequence[Shot], moment: int, far: bool = False) -> None:
-        """Where points come from the pictures before; how far they may have come."""
+        """Where points come from the pictures before; `far`: by flow that finds longer ways."""
         now = self.xyz[-1]
         was = self.xyz[-2] if len(self.xyz) > 1 else now
         normals = self.graph.turned(self.poses[-1], self.surface.normals)

@@ -68,8 +68,7 @@ class Shot:
     ) -> None:
         """Where optical flow brings `known` points from the picture before, in which they are at `xyz`.
 
-        How `far` they may have come: flow that finds long ways is less exact. What else was known of the picture is
-        forgotten.
+        `far`: by flow that finds longer ways and is less exact. What else was known of the picture is forgotten.
         """
         self.points = self.points[:0]
         sight = Sight(self.film, xyz, normals, spacing)
