@@ -10,6 +10,7 @@ from devrf.reconstruct.held_back import HeldBack
 from devrf.reconstruct.model import DynamicModel, Rendered, Seen
 from devrf.reconstruct.movers import Layered
 from devrf.reconstruct.moving_pixels import changing_pixels
+from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 
@@ -24,8 +25,7 @@ def held_gain_db(scene: Scene, model: DynamicModel, device: str) -> float:
         model: Trained on it.
         device: cpu or cuda.
     """
-    frames = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
-    rays = RaySet(frames, scene.image_scale, scene.background, device)
+    rays = RaySet(tuple(training(scene.dynamic)), scene.image_scale, scene.background, device)
     held_back = HeldBack(rays, changing_pixels(rays))
     around = PixelSurroundings(DynamicModel(model.rest), rays)
     still, moving = (

@@ -80,13 +80,14 @@ class Follower:
         """To the next moment."""
         graph, surface, shots = self.graph, self.surface, self.shots(moment)
         self._come(shots, moment)
-        found = expected = self._expected()
+        expected = self.carried(graph.rigid(_ahead(*[self.poses[0], *self.poses][-2:])), self.lost_nodes)
+        found = expected
         if len(shots) >= FEWEST_CAMERAS:
             found = self.found(shots, expected, SIGMAS, believed=self._believed())
             likeness = self.likeness(shots, found)
             self.lost_nodes = self._lost(likeness)
             self._time(shots, found)
-            found = self._found_again(shots, found, likeness, moment)
+            found = self._found_again(shots, found, expected, likeness, moment)
         self._come_to(found, self.lost_nodes)
         was, now = self.xyz[-2:]
         if moment % LEARN_EVERY == 0:
@@ -133,11 +134,6 @@ class Follower:
             if n is not None:
                 out.append(Shot(camera, known, n, 1 + (float(known.film.times[n]) + late - time) / self.gap))
         return out
-
-    def _expected(self) -> Pose:
-        """Where everything is if it goes on, and what is lost goes along."""
-        ahead = _ahead(*[self.poses[0], *self.poses][-2:])
-        return self.carried(self.graph.rigid(ahead), self.nodes_lost[-1])
 
     def _come(self, shots: Sequence[Shot], moment: int, far: bool = False) -> None:
         """Where points come from the pictures before; `far`: by flow that finds longer ways."""
@@ -203,7 +199,12 @@ class Follower:
         self.offsets.add({s.camera: s.shown(was + s.share * way, known) for s in shots}, way, self.gap)
 
     def _found_again(
-        self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"], moment: int
+        self,
+        shots: Sequence[Shot],
+        found: Pose,
+        expected: Pose,
+        likeness: Float[np.ndarray, " n"],
+        moment: int,
     ) -> Pose:
         """The same where nothing is lost; else with what is lost where another guess leads to what pictures show.
 
@@ -212,8 +213,9 @@ class Follower:
         wanted = self.lost_nodes & (moment - self.sought >= SEEK_EVERY)
         if wanted.sum() >= FEWEST_LOST:
             asked = self._points(self.lost_nodes)
-            for guess in (self._gone_along, self._stopped, self._gone_far):
-                other = self.found(shots, guess(shots, found, moment), FARTHER, asked)
+            for guess in self._guesses(shots, found, expected, moment):
+                begin = _with(found, guess, np.flatnonzero(self.lost_nodes))
+                other = self.found(shots, begin, FARTHER, asked)
                 liked = self.likeness(shots, other)
                 for group in self._groups(self.lost_nodes):
                     if _more(liked[group], likeness[group]) > AGAIN:
@@ -225,21 +227,19 @@ class Follower:
             self.sought[self.lost_nodes & wanted] = moment
         return self._carried_if_better(shots, found, likeness)
 
-    def _gone_along(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
-        """The pose with what is lost carried along."""
-        return self.carried(found, self.lost_nodes)
+    def _guesses(self, shots: Sequence[Shot], found: Pose, expected: Pose, moment: int) -> Iterator[Pose]:
+        """Where what is lost may be, each when it is asked for: carried along, where it was, gone far."""
+        yield self.carried(found, self.lost_nodes)
+        yield self.poses[-1]
+        yield self._gone_far(shots, expected, moment)
 
-    def _stopped(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
-        """The pose with what is lost where it was."""
-        return _with(found, self.poses[-1], np.flatnonzero(self.lost_nodes))
-
-    def _gone_far(self, shots: Sequence[Shot], found: Pose, moment: int) -> Pose:
-        """The pose with what is lost where it comes from the pictures before, if it came far."""
+    def _gone_far(self, shots: Sequence[Shot], expected: Pose, moment: int) -> Pose:
+        """The pose to which everything comes from the pictures before, if it came far."""
         self._come(shots, moment, far=True)
-        far = expected = self._expected()
+        far = expected
         for _ in range(2 * STEPS):
             far = self._step(shots, far, expected)
-        return _with(found, far, np.flatnonzero(self.lost_nodes))
+        return far
 
     def _carried_if_better(
         self, shots: Sequence[Shot], found: Pose, likeness: Float[np.ndarray, " n"]

@@ -209,7 +209,7 @@ def test_what_goes_far_from_one_picture_to_the_next_is_found(tmp_path: Path, mon
             surface, Graph(surface), films, films[0].times, Offsets(np.zeros(3), surface.xyz), pool
         )
         if not far:
-            monkeypatch.setattr(follower, "_gone_far", lambda shots, found, moment: found)
+            monkeypatch.setattr(follower, "_gone_far", lambda shots, expected, moment: expected)
         follower.go_on(1)
     wrong = np.linalg.norm(follower.xyz[-1] - true, axis=-1)
     assert (np.median(wrong) < 0.01) == far and follower.lost[-1].any() != far
