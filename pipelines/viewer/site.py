@@ -19,7 +19,7 @@ from devrf.pipelines.viewer.furniture import Thumbnails
 from devrf.pipelines.viewer.own_address import only_own_pages
 from devrf.pipelines.viewer.source import Found, Loaded, load, look
 from devrf.pipelines.viewer.standing import standing
-from devrf.pipelines.viewer.view import first_camera, look_through, up_of
+from devrf.pipelines.viewer.view import first_camera, look_through
 from devrf.pipelines.viewer.visit import Superseded, Visit
 from devrf.reconstruct.model import render_layers
 
@@ -112,7 +112,9 @@ class Site:
         return standing(self._config, self._run_dir, self.loaded, why)
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        self._visits[client.client_id] = Visit(client, self._thumbnails, self._wanted.set)
+        self._visits[client.client_id] = Visit(
+            client, self._thumbnails, self._wanted.set, self.server.get_event_loop()
+        )
         self._looked = 0.0  # the new one waits to be told
         self._wanted.set()
 
@@ -185,8 +187,7 @@ class Site:
     def _set_first_view(self) -> None:
         scene = self.loaded.scene
         if scene is not None:
-            self.server.scene.set_up_direction(up_of(scene))
-            look_through(self.server.initial_camera, first_camera(scene), scene.aabb.mean(axis=0))
+            look_through(self.server.initial_camera, first_camera(scene), scene)
 
     def _next(self) -> Visit | None:
         """Whose turn it is of those who wait for a picture."""

@@ -27,12 +27,21 @@ def seen_by(page: viser.CameraHandle, width: int, height: int) -> Camera:
     return Camera(width, height, K, np.column_stack([R.T, -R.T @ page.position]))
 
 
-def look_through(page: Page, camera: Camera, middle: np.ndarray) -> None:
-    """Let a page show what a camera sees, turned about a point before it that is as far away as `middle`."""
-    axis = camera.cam_from_world[2, :3]
-    away = max(float(axis @ (middle - camera.centre)), 0.1)
-    page.position, page.look_at = camera.centre, camera.centre + away * axis
+def look_through(page: Page, camera: Camera, scene: Scene) -> None:
+    """Let a page show what a camera sees, turned about a point before it that is as far away as the scene's middle.
+
+    What is set of a visitor's page depends on what was set before, so nothing that the page says of itself may come
+    between: call it in the server's event loop. The world itself is never turned upright, since a page that is told of
+    that and of a view at once may do the one before or after the other.
+    """
+    axis, up = camera.cam_from_world[2, :3], _up_of(scene)
+    away = max(float(axis @ (scene.aabb.mean(axis=0) - camera.centre)), 0.1)
     page.fov = 2 * float(np.arctan(camera.height / 2 / camera.K[1, 1]))
+    if isinstance(page, viser.CameraHandle):
+        page.up_direction = up
+    else:
+        page.up = up
+    page.position, page.look_at = camera.centre, camera.centre + away * axis
     if isinstance(page, viser.CameraHandle):
         page.wxyz = np.array(quat_wxyz(camera.cam_from_world[:, :3].T))
 
@@ -48,7 +57,7 @@ def first_camera(scene: Scene) -> Camera:
     return replace(camera, cam_from_world=np.column_stack([R, -R @ back]))
 
 
-def up_of(scene: Scene) -> np.ndarray:
+def _up_of(scene: Scene) -> np.ndarray:
     """What the cameras of a film take to be up [3]."""
     up = -np.mean([camera.cam_from_world[1, :3] for camera in film_cameras(scene)], axis=0)
     return up / np.linalg.norm(up)

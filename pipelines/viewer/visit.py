@@ -1,5 +1,6 @@
 """One visitor: a view, a moment, what is to be shown of it, and which picture of that comes next."""
 
+import asyncio
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -45,13 +46,20 @@ class Visit:
         client: The visitor.
         thumbnails: Where pictures of cameras come from.
         wake: Called when a picture is wanted.
+        loop: In which the page's messages are read.
     Attributes:
         controls: The panel.
         gone: Whether the visitor has left.
     """
 
-    def __init__(self, client: viser.ClientHandle, thumbnails: Thumbnails, wake: Callable[[], None]) -> None:
-        self._client, self._thumbnails, self._wake = client, thumbnails, wake
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        thumbnails: Thumbnails,
+        wake: Callable[[], None],
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._client, self._thumbnails, self._wake, self._loop = client, thumbnails, wake, loop
         self.gone = False
         self._loaded = Loaded()
         self._furniture: Furniture | None = None
@@ -190,9 +198,14 @@ class Visit:
             self._furniture.show(name, visible)
 
     def _look_through(self, camera: Camera) -> None:
-        assert self._loaded.scene is not None
-        with self._client.atomic():
-            look_through(self._client.camera, camera, self._loaded.scene.aabb.mean(axis=0))
+        scene = self._loaded.scene
+        assert scene is not None
+
+        def look() -> None:
+            with self._client.atomic():
+                look_through(self._client.camera, camera, scene)
+
+        self._loop.call_soon_threadsafe(look)
 
     def _go_home(self) -> None:
         if self._loaded.scene is not None:
