@@ -26,6 +26,7 @@ from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest
 from devrf.reconstruct.rest_model import RestModel
@@ -118,8 +119,8 @@ class _Recipe:
     def __init__(
         self, scene: Scene, rest: RestModel, motion: MotionField, options: MotionOptions, device: str
     ) -> None:
-        moving = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
-        still = tuple(f for f in scene.static if f.split == "train")
+        moving = training(scene.dynamic)
+        still = training(scene.static)
         self.rays = RaySet(moving, scene.image_scale, scene.background, device)
         self.rays_at_rest = RaySet(still, scene.image_scale, scene.background, device)
         self.changing = changing_pixels(self.rays) if options.importance > 0 else None

@@ -6,7 +6,7 @@ occupancy rebuild needs for a moment and what samples leave until the backward p
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from devrf.reconstruct.grids import FEW
 from devrf.reconstruct.motion import MOST_ON_GPU
 from devrf.reconstruct.ndc import CUBE, Ndc
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions, MotionOptions
+from devrf.reconstruct.pictures import training
 from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.still_picture import MOST_BYTES
 
@@ -99,7 +100,7 @@ class SceneSize:
     def of(scene: Scene) -> "SceneSize":
         """Of a scene."""
 
-        def pixels(frames: list[PosedFrame], key: Any = None) -> int:
+        def pixels(frames: Sequence[PosedFrame], key: Any = None) -> int:
             """Of all pictures, or of one of each with the same key."""
             one_of = list({key(f): f for f in frames}.values()) if key is not None else frames
             sizes = [f.camera.scaled(scene.image_scale) for f in one_of]
@@ -111,8 +112,8 @@ class SceneSize:
         def view(frame: PosedFrame) -> Any:
             return frame.camera.view
 
-        still = [f for f in scene.static if f.split == "train"]
-        moving = [f for f in scene.dynamic if f.split == "train" and f.time is not None]
+        still = training(scene.static)
+        moving = training(scene.dynamic)
         clips = [[f for f in moving if f.camera_name == name] for name in {f.camera_name for f in moving}]
         return SceneSize(
             still_pixels=pixels(still),
@@ -263,7 +264,7 @@ def _largest(phases: list[Parts]) -> Parts:
 def _adapting(scene: Scene) -> Callable[[CanonicalOptions], CanonicalOptions]:
     """No more voxels than pictures show; the box found later may be smaller than the scene's, not larger."""
     boxed = scene.in_box_frame()
-    cameras = [f.camera.scaled(scene.image_scale) for f in boxed.static if f.split == "train"]
+    cameras = [f.camera.scaled(scene.image_scale) for f in training(boxed.static)]
     ndc = None if scene.ndc is None else Ndc(*scene.ndc)
     aabb = CUBE if ndc is not None else torch.tensor(boxed.aabb, dtype=torch.float32)
 

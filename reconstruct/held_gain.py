@@ -25,7 +25,7 @@ def held_gain_db(scene: Scene, model: DynamicModel, device: str) -> float:
         model: Trained on it.
         device: cpu or cuda.
     """
-    rays = RaySet(tuple(training(scene.dynamic)), scene.image_scale, scene.background, device)
+    rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
     held_back = HeldBack(rays, changing_pixels(rays))
     around = PixelSurroundings(DynamicModel(model.rest), rays)
     still, moving = (

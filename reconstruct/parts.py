@@ -12,6 +12,7 @@ from typing import Any, Literal
 from devrf.capture.scene import Scene
 from devrf.reconstruct.key_times import offered_keys
 from devrf.reconstruct.options import FEWEST_COARSE, CanonicalOptions, MotionOptions, Options
+from devrf.reconstruct.pictures import training
 
 Setup = tuple[Scene, Options]
 ON_A_KEY = 1e-6  # of the spacing of key times: as near as numbers get
@@ -80,7 +81,7 @@ def _ends_only(scene: Scene, o: Options) -> Setup:
 
 def _times_of_keys(scene: Scene, o: Options) -> Setup:
     """Every training picture is taken to be of the key time nearest to it; the scene itself, if all are at one."""
-    times = [f.time for f in scene.dynamic if f.split == "train" and f.time is not None]
+    times = [f.time or 0.0 for f in training(scene.dynamic)]
     first, spacing = min(times), (max(times) - min(times)) / (_keys(scene, o) - 1)
 
     def rounded(time: float) -> float:
@@ -89,15 +90,13 @@ def _times_of_keys(scene: Scene, o: Options) -> Setup:
     if all(abs(rounded(time) - time) <= ON_A_KEY * spacing for time in times):
         return scene, o
     dynamic = tuple(
-        replace(f, time=rounded(f.time)) if f.split == "train" and f.time is not None else f
-        for f in scene.dynamic
+        replace(f, time=rounded(f.time or 0.0)) if f.split == "train" else f for f in scene.dynamic
     )
     return replace(scene, dynamic=dynamic), o
 
 
 def _keys(scene: Scene, o: Options) -> int:
-    frames = [f for f in scene.dynamic if f.split == "train" and f.time is not None]
-    return offered_keys(frames, o.motion)
+    return offered_keys(training(scene.dynamic), o.motion)
 
 
 PARTS: tuple[Part, ...] = (

@@ -10,9 +10,9 @@ from devrf.capture.scene import PosedFrame, Scene
 Item = TypeVar("Item")
 
 
-def training(frames: Sequence[PosedFrame]) -> list[PosedFrame]:
+def training(frames: Sequence[PosedFrame]) -> tuple[PosedFrame, ...]:
     """The pictures that are trained on."""
-    return [f for f in frames if f.split == "train"]
+    return tuple(f for f in frames if f.split == "train")
 
 
 def clips(scene: Scene) -> dict[str, list[PosedFrame]]:

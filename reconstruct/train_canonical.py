@@ -31,6 +31,7 @@ from devrf.reconstruct.losses import (
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.near_plane import points_of
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions
+from devrf.reconstruct.pictures import training
 from devrf.reconstruct.plates import draw_with_plates, plates
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest, segments_in
@@ -75,7 +76,7 @@ def train_canonical(
         ReconstructError: No training pictures, nothing in the box, or the loss diverges with small steps, too.
     """
     scene = scene.in_box_frame()
-    frames = tuple(f for f in scene.static if f.split == "train")
+    frames = training(scene.static)
     if not frames:
         text = "the sweep has no training pictures; the scene at rest cannot be learned"
         raise ReconstructError("pictures-none", text)

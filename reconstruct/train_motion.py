@@ -46,6 +46,7 @@ from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.motion_box import motion_box
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.options import REFERENCE_EXTENT, MotionOptions
+from devrf.reconstruct.pictures import training
 from devrf.reconstruct.pixel_flow import PixelFlow
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.rest_model import RestModel
@@ -90,7 +91,7 @@ def train_motion(
         ReconstructError: No training pictures of the scene in motion, or the loss diverges with small steps, too.
     """
     scene = scene.in_box_frame()
-    frames = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
+    frames = training(scene.dynamic)
     if not frames:
         raise ReconstructError("pictures-none", "no training pictures of the scene in motion")
     log = TrainingLog(device, LOG_EVERY)

@@ -29,6 +29,7 @@ from devrf.reconstruct.model import Around, DynamicModel
 from devrf.reconstruct.movers import NO_GRADS, Grads, Layered, Movers, Placed, render_layered
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
@@ -150,14 +151,13 @@ class _Recipe:
         options: MotionOptions,
         device: str,
     ) -> None:
-        frames = tuple(f for f in scene.dynamic if f.split == "train" and f.time is not None)
+        frames = training(scene.dynamic)
         self.options, self.rest, self.device = options, rest, device
         self.rays = RaySet(frames, scene.image_scale, scene.background, device)
         self.changing = changing_pixels(self.rays)
         self.held_back = HeldBack(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)
-        still = tuple(f for f in scene.static if f.split == "train")
-        self.sweep = RaySet(still, scene.image_scale, scene.background, device)
+        self.sweep = RaySet(training(scene.static), scene.image_scale, scene.background, device)
         self.at_rest = DynamicModel(rest)
         rest_time = torch.tensor([scene.rest_time or 0.0], device=self.rays.times.device)
         self.in_sweep = movers.at_rest(rest_time)

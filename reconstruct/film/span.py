@@ -13,6 +13,7 @@ from jaxtyping import Float
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
 from devrf.capture.view_axes import look_at
+from devrf.reconstruct.pictures import training
 
 FULL_TURN_GAP = np.radians(100)  # cameras that leave no larger gap than this are all around
 SMOOTHING = 0.15  # of the span in azimuth: how far a camera's distance and elevation reach along the path
@@ -88,13 +89,13 @@ def film_cameras(scene: Scene) -> tuple[Camera, ...]:
     fixed = fixed_cameras(scene)
     if len(fixed) >= 2:
         return tuple(fixed.values())
-    sweep = tuple(f.camera for f in scene.static if f.split == "train")
+    sweep = tuple(f.camera for f in training(scene.static))
     return sweep or tuple(fixed.values())
 
 
 def fixed_cameras(scene: Scene) -> dict[str, Camera]:
     """The moving scene's training cameras by name."""
-    return {f.camera_name: f.camera for f in scene.dynamic if f.split == "train"}
+    return {f.camera_name: f.camera for f in training(scene.dynamic)}
 
 
 def focus(cameras: Sequence[Camera], aabb: Float[np.ndarray, "2 3"]) -> Float[np.ndarray, "3"]:
