@@ -20,7 +20,8 @@ NOISE = 5.0  # a pixel moves if its range over time exceeds this multiple of the
 FAINT_NOISE = 2.5  # where it hangs on pixels that move: 2 takes in shadows and light, too
 FLOOR = 10.0  # grey levels
 CEILING = 40.0  # more is no noise: the subject fills half the picture, and the median pixel moves too
-LONE = 1  # pictures of each clip, darkest and brightest, that say nothing: flashes, damaged ones
+LONE = 1  # pictures of each clip, darkest and brightest, that say nothing: flashes, damaged ones ...
+MANY = 8  # ... where there are so many: of four pictures, what moves is the brightest or the darkest in one
 # The pattern: the logarithm of brightness over that around, by a Gaussian of so many pixels. In six captures it changes
 # by 0.23 to 0.42 where things move, by 0.02 in shadows, by 0.01 to 0.08 elsewhere.
 AROUND_PX, PATTERN_NOISE, PATTERN_FLOOR, PATTERN_CEILING = 3.0, 2.5, 0.1, 0.2
@@ -80,7 +81,7 @@ def _pattern_changes(stack: Float32[np.ndarray, "n h w"]) -> Bool[np.ndarray, "h
 
 def _spread(stack: Float32[np.ndarray, "n h w"]) -> Float32[np.ndarray, "h w"]:
     """Range over time, without the lone extremes."""
-    lone = LONE if len(stack) > 2 * LONE + 1 else 0
+    lone = LONE if len(stack) >= MANY else 0
     ordered = np.sort(stack, axis=0)
     return ordered[-1 - lone] - ordered[lone]
 

@@ -16,7 +16,7 @@ from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.graph import Graph
-from devrf.reconstruct.tracking.offsets import Offsets, clear, offsets_of
+from devrf.reconstruct.tracking.offsets import Offsets, clear_offsets
 from devrf.reconstruct.tracking.runs import Runs
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.training_log import TrainingLog
@@ -93,15 +93,15 @@ def follow_both_ways(
         by_parts = followed(parts, as_said, "by parts")
         if better(tracks, by_parts[0]):
             graph, (tracks, seen) = parts, by_parts
-    offsets, std = offsets_of(seen, gap)
-    if not clear(offsets, std, gap).any():
+    offsets = clear_offsets(seen, gap)
+    if not offsets.any():
         runs.write()
         return [tracks]
     again = tracks
     for n in range(MOST_AGAIN):
         known = offsets
         again, seen = followed(graph, known, f"{n + 1} times again")
-        offsets, _ = offsets_of(seen, gap)
+        offsets = clear_offsets(seen, gap)
         if np.abs(offsets - known).max() < SETTLED * gap:
             break
     runs.write()

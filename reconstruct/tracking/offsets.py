@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 LEAST_WAY = 0.5  # pixels that a point goes from moment to moment, in a camera, to say anything of time
 FEWEST_POINTS = 50  # that do, and are seen by two cameras
@@ -155,8 +155,11 @@ def offsets_of(
     return offset - np.median(offset), np.sqrt(np.maximum(by_error, by_blocks))
 
 
-def clear(
-    offsets: Float[np.ndarray, " c"], std: Float[np.ndarray, " c"], gap: float
-) -> Bool[np.ndarray, " c"]:
-    """Which offsets are no chance and worth to follow."""
-    return np.abs(offsets) > np.maximum(CLEAR * gap, SIGMAS * std)
+def clear_offsets(seen: Mapping[int, Offsets], gap: float) -> Float[np.ndarray, " c"]:
+    """Those of `offsets_of` that are no chance and worth to follow; the others are 0, as clocks say.
+
+    Where one camera is late, tracks lie between it and the others, and one that sees things from where it does seems
+    to be early: perhaps by as much, but not for certain.
+    """
+    offsets, std = offsets_of(seen, gap)
+    return np.where(np.abs(offsets) > np.maximum(CLEAR * gap, SIGMAS * std), offsets, 0.0)

@@ -186,6 +186,18 @@ def test_a_mover_that_is_seen_in_two_pictures_counts_and_in_one_does_not() -> No
     assert not motion_mask(CAMERA, _clip(scene, flash(1))).mask.any()
 
 
+@pytest.mark.parametrize("count", [2, 4, 7])
+def test_of_few_pictures_one_that_shows_a_mover_is_enough(count: int) -> None:
+    scene = np.random.default_rng(0).integers(80, 120, (90, 120)).astype(np.float64)
+
+    def comes(picture: np.ndarray, n: float) -> None:
+        if n == 1:
+            picture[20:50, 30:50] = 230
+
+    mask = motion_mask(CAMERA, _clip(scene, comes, count)).mask
+    assert mask[22:48, 32:48].all() and not mask[:, 60:].any()
+
+
 def test_a_shadow_changes_no_pattern_and_a_mover_does() -> None:
     rng = np.random.default_rng(0)
     scene = rng.integers(80, 200, (90, 120)).astype(np.float64)
