@@ -16,7 +16,7 @@ from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.graph import Graph
-from devrf.reconstruct.tracking.offsets import Offsets, clear_offsets
+from devrf.reconstruct.tracking.offsets import Offsets, offsets_to_follow
 from devrf.reconstruct.tracking.runs import Runs
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.training_log import TrainingLog
@@ -93,7 +93,7 @@ def follow_both_ways(
         by_parts = followed(parts, as_said, "by parts")
         if better(tracks, by_parts[0]):
             graph, (tracks, seen) = parts, by_parts
-    offsets = clear_offsets(seen, gap)
+    offsets = offsets_to_follow(seen, gap)
     if not offsets.any():
         runs.write()
         return [tracks]
@@ -101,7 +101,7 @@ def follow_both_ways(
     for n in range(MOST_AGAIN):
         known = offsets
         again, seen = followed(graph, known, f"{n + 1} times again")
-        offsets = clear_offsets(seen, gap)
+        offsets = offsets_to_follow(seen, gap)
         if np.abs(offsets - known).max() < SETTLED * gap:
             break
     runs.write()

@@ -19,6 +19,7 @@ ERROR_PX = 0.5  # that the tracks of one moment are off by, all points together
 MOMENTS = 8  # in a row, and points in one corner of what moves, err together
 BEFORE = 1.0  # standard deviation of a clock before anything is seen, in moments
 CLEAR, SIGMAS = 0.15, 4.0  # moments, and standard deviations, from which an offset is clear
+LIKELY = 2.0  # standard deviations from which others beside a clear one are followed
 THIN = 1e-6  # of a point's trace, added: one that is nearly seen along one line only
 
 
@@ -155,11 +156,12 @@ def offsets_of(
     return offset - np.median(offset), np.sqrt(np.maximum(by_error, by_blocks))
 
 
-def clear_offsets(seen: Mapping[int, Offsets], gap: float) -> Float[np.ndarray, " c"]:
-    """Those of `offsets_of` that are no chance and worth to follow; the others are 0, as clocks say.
+def offsets_to_follow(seen: Mapping[int, Offsets], gap: float) -> Float[np.ndarray, " c"]:
+    """Those of `offsets_of` that are worth to follow, the others 0, as clocks say; all 0 where none is clear.
 
     Where one camera is late, tracks lie between it and the others, and one that sees things from where it does seems
     to be early: perhaps by as much, but not for certain.
     """
     offsets, std = offsets_of(seen, gap)
-    return np.where(np.abs(offsets) > np.maximum(CLEAR * gap, SIGMAS * std), offsets, 0.0)
+    is_clear = np.abs(offsets) > np.maximum(CLEAR * gap, SIGMAS * std)
+    return np.where(is_clear.any() & (np.abs(offsets) > LIKELY * std), offsets, 0.0)

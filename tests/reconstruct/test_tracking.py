@@ -24,7 +24,7 @@ from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import AWAY, TOGETHER, _away, _cut, _seen_by_two, moving_points
-from devrf.reconstruct.tracking.offsets import Offsets, Shown, clear_offsets, offsets_of
+from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.soft import soft_motion_of
@@ -155,12 +155,30 @@ def test_offsets_are_told_whatever_tracks_hide_of_them(sign: int) -> None:
         seen.add(shown, way, gap)
     found, _ = offsets_of({sign: seen}, gap)
     assert found == pytest.approx(offsets - np.median(offsets), abs=0.03 * gap)
-    assert clear_offsets({sign: seen}, gap) == pytest.approx(
-        [0, found[1], found[2], 0]
-    )  # the others are too small
+    followed = [0, found[1], found[2], 0]  # the others are too small
+    assert offsets_to_follow({sign: seen}, gap) == pytest.approx(followed)
     still = Offsets(np.zeros(4), np.zeros((300, 3)))
     still.add(shown, 0 * way, gap)  # nothing goes anywhere
-    assert not still.blocks and not clear_offsets({1: still}, gap).any()
+    assert not still.blocks and not offsets_to_follow({1: still}, gap).any()
+
+
+@pytest.mark.parametrize(
+    ("found", "followed"),
+    [
+        ([0.5, 0.12, 0.08, -0.02], [0.5, 0.12, 0, 0]),  # one is clear, one likely, two are chance
+        ([0.14, 0.12, -0.12, 0.0], [0, 0, 0, 0]),  # none is clear
+        ([0.4, 0.09, -0.4, 0.0], [0.4, 0, -0.4, 0]),
+    ],
+)
+def test_offsets_are_followed_where_one_is_clear_and_others_are_no_chance(
+    found: list[float], followed: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gap, std = 0.1, 0.005
+    monkeypatch.setattr(
+        "devrf.reconstruct.tracking.offsets.offsets_of",
+        lambda seen, gap: (gap * np.array(found), np.full(4, std)),
+    )
+    assert offsets_to_follow({}, gap) == pytest.approx(gap * np.array(followed))
 
 
 @pytest.mark.full
