@@ -105,7 +105,7 @@ def follow_both_ways(
         if np.abs(offsets - known).max() < SETTLED * gap:
             break
     runs.write()
-    return [tracks, replace(again, offsets=offsets)]
+    return [tracks, replace(again, offsets=offsets)] if offsets.any() else [tracks]
 
 
 def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, " t"], int]:
