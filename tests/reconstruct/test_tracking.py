@@ -165,8 +165,8 @@ def test_offsets_are_told_whatever_tracks_hide_of_them(sign: int) -> None:
 @pytest.mark.parametrize(
     ("found", "followed"),
     [
-        ([0.5, 0.12, 0.08, -0.02], [0.5, 0.12, 0, 0]),  # one is clear, one likely, two are chance
-        ([0.14, 0.12, -0.12, 0.0], [0, 0, 0, 0]),  # none is clear
+        ([0.5, 0.16, 0.12, -0.02], [0.5, 0.16, 0, 0]),  # one is clear, one likely, two are chance
+        ([0.14, 0.14, -0.14, 0.0], [0, 0, 0, 0]),  # none is clear
         ([0.4, 0.09, -0.4, 0.0], [0.4, 0, -0.4, 0]),
     ],
 )
