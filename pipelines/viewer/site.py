@@ -113,7 +113,7 @@ class Site:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         self._visits[client.client_id] = Visit(
-            client, self._thumbnails, self._wanted.set, self.server.get_event_loop()
+            client, self._thumbnails, self._wanted.set, self.server.get_event_loop().call_soon_threadsafe
         )
         self._looked = 0.0  # the new one waits to be told
         self._wanted.set()

@@ -1,6 +1,5 @@
 """One visitor: a view, a moment, what is to be shown of it, and which picture of that comes next."""
 
-import asyncio
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -46,7 +45,7 @@ class Visit:
         client: The visitor.
         thumbnails: Where pictures of cameras come from.
         wake: Called when a picture is wanted.
-        loop: In which the page's messages are read.
+        in_loop: Calls something where the page's messages are read, in between.
     Attributes:
         controls: The panel.
         gone: Whether the visitor has left.
@@ -57,9 +56,9 @@ class Visit:
         client: viser.ClientHandle,
         thumbnails: Thumbnails,
         wake: Callable[[], None],
-        loop: asyncio.AbstractEventLoop,
+        in_loop: Callable[[Callable[[], None]], object],
     ) -> None:
-        self._client, self._thumbnails, self._wake, self._loop = client, thumbnails, wake, loop
+        self._client, self._thumbnails, self._wake, self._in_loop = client, thumbnails, wake, in_loop
         self.gone = False
         self._loaded = Loaded()
         self._furniture: Furniture | None = None
@@ -205,7 +204,7 @@ class Visit:
             with self._client.atomic():
                 look_through(self._client.camera, camera, scene)
 
-        self._loop.call_soon_threadsafe(look)
+        self._in_loop(look)
 
     def _go_home(self) -> None:
         if self._loaded.scene is not None:
