@@ -119,10 +119,10 @@ class _Recipe:
     def __init__(
         self, scene: Scene, rest: RestModel, motion: MotionField, options: MotionOptions, device: str
     ) -> None:
-        moving = training(scene.dynamic)
-        still = training(scene.static)
-        self.rays = RaySet(moving, scene.image_scale, scene.background, device)
-        self.rays_at_rest = RaySet(still, scene.image_scale, scene.background, device)
+        self.rays, self.rays_at_rest = (
+            RaySet(training(frames), scene.image_scale, scene.background, device)
+            for frames in (scene.dynamic, scene.static)
+        )
         self.changing = changing_pixels(self.rays) if options.importance > 0 else None
         self.held_back = HeldBack(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)

@@ -151,9 +151,8 @@ class _Recipe:
         options: MotionOptions,
         device: str,
     ) -> None:
-        frames = training(scene.dynamic)
         self.options, self.rest, self.device = options, rest, device
-        self.rays = RaySet(frames, scene.image_scale, scene.background, device)
+        self.rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
         self.changing = changing_pixels(self.rays)
         self.held_back = HeldBack(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)

@@ -37,13 +37,12 @@ def look_through(page: Page, camera: Camera, scene: Scene) -> None:
     axis, up = camera.cam_from_world[2, :3], _up_of(scene)
     away = max(float(axis @ (scene.aabb.mean(axis=0) - camera.centre)), 0.1)
     page.fov = 2 * float(np.arctan(camera.height / 2 / camera.K[1, 1]))
-    if isinstance(page, viser.CameraHandle):
-        page.up_direction = up
-    else:
-        page.up = up
     page.position, page.look_at = camera.centre, camera.centre + away * axis
     if isinstance(page, viser.CameraHandle):
+        page.up_direction = up
         page.wxyz = np.array(quat_wxyz(camera.cam_from_world[:, :3].T))
+    else:
+        page.up = up
 
 
 def first_camera(scene: Scene) -> Camera:

@@ -19,7 +19,9 @@ ERROR_PX = 0.5  # that the tracks of one moment are off by, all points together
 MOMENTS = 8  # in a row, and points in one corner of what moves, err together
 BEFORE = 1.0  # standard deviation of a clock before anything is seen, in moments
 CLEAR, SIGMAS = 0.15, 4.0  # moments, and standard deviations, from which an offset is clear
-LIKELY = 3.0  # standard deviations from which others beside a clear one are followed
+# Standard deviations from which others beside a clear one are followed: beside a late clock a right one seemed to be
+# off by 2.5, those that were wrong (by a sixth of a moment and more) by 3.8 and more.
+LIKELY = 3.0
 THIN = 1e-6  # of a point's trace, added: one that is nearly seen along one line only
 
 
