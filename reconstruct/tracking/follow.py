@@ -1,7 +1,7 @@
 """Follow surface points through time, away from the moment of rest, to the end and to the beginning of the films.
 
-They are followed by the nodes of a graph, and again where that tells more: by the rigid parts that are known then, and
-with other clocks.
+They are followed by the nodes of a graph, and again where that tells more: by the rigid parts that are known then, or
+by nodes with other clocks.
 """
 
 from collections.abc import Callable, Sequence
@@ -61,8 +61,8 @@ def follow_both_ways(
     """Follow points from the time of rest to the end and to the beginning of the films.
 
     Where rigid parts are known by that, and it is worth it, they are followed again by these. Where points seem to show
-    that a camera's clock is wrong, again, with other clocks. Then there are both: errors of other kinds may look alike,
-    and trained models tell.
+    that a camera's clock is wrong, again by nodes, with other clocks. Then there are both: errors of other kinds may
+    look alike, and trained models tell.
 
     Args:
         surface: Points that move, at rest.
@@ -92,12 +92,12 @@ def follow_both_ways(
     if parts is not None:
         by_parts = followed(parts, as_said, "by parts")
         if better(tracks, by_parts[0]):
-            graph, (tracks, seen) = parts, by_parts
+            tracks, seen = by_parts
     offsets = offsets_to_follow(seen, gap)
     if not offsets.any():
         runs.write()
         return [tracks]
-    again = tracks
+    again = tracks  # by nodes: parts that wrong clocks have shown are wrong ones, and hold what they should let go
     for n in range(MOST_AGAIN):
         known = offsets
         again, seen = followed(graph, known, f"{n + 1} times again")

@@ -23,7 +23,14 @@ from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.moving_points import AWAY, TOGETHER, _away, _cut, _seen_by_two, moving_points
+from devrf.reconstruct.tracking.moving_points import (
+    TOGETHER,
+    _cut,
+    _rises,
+    _seen_by_two,
+    _votes,
+    moving_points,
+)
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.sight import Sight
@@ -379,6 +386,25 @@ def test_once_parts_are_known_everything_is_followed_again_by_them(films: list[F
         assert residual(motion_of(rest, there), rest, there).max() < 1e-10
 
 
+def test_with_other_clocks_everything_is_followed_by_nodes(films: list[Film], monkeypatch) -> None:
+    """Parts that were found with wrong clocks are wrong ones."""
+    surface, card = on_cards()
+    graph, late, by = Graph(surface), np.array([0.5 * GAP, 0, 0]), []
+
+    def both_ways(surface, graph, films, times, middle, offsets, *others):
+        by.append((graph, offsets))
+        where = np.tile(surface.xyz, (len(times), 1, 1))
+        return Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}
+
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow._both_ways", both_ways)
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow.offsets_to_follow", lambda seen, gap: late)
+    parts = graph.in_parts(card)
+    found = follow_both_ways(surface, graph, films, 0.5, in_parts=lambda tracks: parts)
+    assert [one.offsets.tolist() for one in found] == [[0, 0, 0], late.tolist()]
+    assert [which for which, _ in by] == [graph, parts, graph]
+    assert [offsets.tolist() for _, offsets in by] == [[0, 0, 0], [0, 0, 0], late.tolist()]
+
+
 @pytest.mark.full
 def test_tracking_by_parts_that_was_killed_goes_on_where_it_was(films: list[Film], tmp_path: Path) -> None:
     surface, card = on_cards()
@@ -506,20 +532,40 @@ def test_what_one_camera_alone_sees_change_does_not_move_where_others_are_seen_b
     assert not _seen_by_two(surface, ~moves, cameras).any()
 
 
-def test_a_piece_that_neighbours_hold_less_moves_only_if_it_stays_away() -> None:
-    """Half of the points that cameras saw at rest have to look different for most of the time, to all of these."""
-    along = np.arange(10) * SPACING
-    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
-    surface = Surface(
-        np.concatenate([patch, patch + [0, 0, 1], patch + [0, 0, 2], patch + [0, 0, 3]]),
-        np.tile([0.0, 0.0, 1.0], (400, 1)), np.full((400, 3), 0.5), SPACING,
-    )  # fmt: skip
-    gone, unseen = np.repeat([AWAY + 0.1, 0.2], [46, 44]), np.full(10, np.nan)
-    shade, never = np.repeat([AWAY + 0.1, AWAY - 0.1], [40, 60]), np.full(100, np.nan)
-    even = np.tile(np.concatenate([gone, unseen, shade, never, np.full(100, 0.9)]), (2, 1))
-    even[1, :200], even[1, 300:] = 1.0, AWAY - 0.1
-    assert np.array_equal(_away(surface, np.ones(400, bool), even), np.arange(400) < 100)
-    assert not _away(surface, np.zeros(400, bool), even).any()
+@pytest.mark.parametrize(
+    ("colours", "brightness", "sign"),
+    [
+        (
+            [0.1, 0.9],
+            [0.8, 1.0],
+            1,
+        ),  # a white thing left a white wall, and a red one behind it for another camera
+        ([0.1, 0.1], [0.8, 1.0], -1),  # it is in the shade
+        ([0.1, 0.9], [0.3, 1.0], -1),  # one camera sees it there
+        ([np.nan, 0.9], [np.nan, 1.0], 1),
+        ([np.nan, np.nan], [np.nan, np.nan], 0),
+    ],
+)
+def test_what_changes_in_brightness_only_moves_if_a_camera_sees_another_colour(
+    colours: list[float], brightness: list[float], sign: int
+) -> None:
+    (vote,) = _votes(np.array(colours)[:, None], np.array(brightness)[:, None])
+    assert np.sign(vote) == sign
+
+
+def test_a_piece_that_neighbours_hold_less_moves_only_if_it_rises_from_what_stands() -> None:
+    """A box on the floor does, a place of the floor that was covered does not; a crumb counts as none."""
+    along = np.arange(-20, 20) * SPACING
+    floor = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(1600)], 1)
+    place = np.hypot(floor[:, 0] + 10 * SPACING, floor[:, 1]) < 6 * SPACING
+    box = floor[(np.abs(floor[:, 0] - 10 * SPACING) < 5 * SPACING) & (np.abs(floor[:, 1]) < 5 * SPACING)]
+    xyz = np.concatenate([floor, box + [0, 0, 3 * SPACING], box[:20] + [0, 12 * SPACING, 2 * SPACING]])
+    surface = Surface(xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), np.full((len(xyz), 3), 0.4), SPACING)
+    moves = np.r_[place, np.ones(len(box) + 20, dtype=bool)]
+    boxed = np.arange(len(xyz)) // 1600 == 1
+    boxed[-20:] = False
+    assert np.array_equal(_rises(surface, moves, ~moves), boxed)
+    assert np.array_equal(_rises(surface, moves, np.zeros(len(xyz), dtype=bool)), moves)
 
 
 def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:
