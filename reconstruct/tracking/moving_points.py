@@ -37,7 +37,7 @@ NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full
 # shoes on a brown floor are only found by 2.0 or less; by 1.0 floor at a door moves.
 TOGETHER = 8.0, 2.0
 # A piece that only the second finds stands if more than this share of it lies in the surface of what stands: floor
-# that is covered, or in the shade, for most of the time has 0.44 to 0.62; shoes and bricks on it have 0.15 to 0.28 (five
+# that is covered, or in the shade, for most of the time has 0.44 to 0.62; shoes and bricks on it 0.15 to 0.28 (five
 # captures).
 IN_SURFACE, LEVEL = 0.35, 0.8  # the latter: cosine between normals
 CREASE, FLAT = 0.003, 0.5  # of that, across a crease; spacings off each other's plane
