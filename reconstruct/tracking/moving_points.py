@@ -36,9 +36,12 @@ NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full
 # where they stand on others, as bricks do; by the second alone, poles do beside a sheet, and its edge with them. White
 # shoes on a brown floor are only found by 2.0 or less; by 1.0 floor at a door moves.
 TOGETHER = 8.0, 2.0
-# A piece that only the second finds stands if more than this share of it lies in the surface of what stands: floor
-# that is covered, or in the shade, for most of the time has 0.44 to 0.62; shoes and bricks on it 0.15 to 0.28 (five
-# captures).
+# Share of the busy pictures in which a piece that only the second finds looks other than at rest, by its median point.
+# What has gone stays away: bricks, shoes and a box on a rug have 0.78 to 1.0, a capsule that turns there 0.71; floor at
+# a door that turns has 0.56.
+AWAY = 0.65
+# It stands, too, if more than this share of it lies in the surface of what stands: floor that is covered, or in the
+# shade, for most of the time has 0.44 to 0.62; shoes and edges of blocks on it have 0.15 to 0.28 (five captures).
 IN_SURFACE, LEVEL = 0.35, 0.8  # the latter: cosine between normals
 CREASE, FLAT = 0.003, 0.5  # of that, across a crease; spacings off each other's plane
 # Fewer points than these, nearer than so many spacings, follow their surroundings, if they have any.
@@ -58,7 +61,7 @@ def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> 
     even, raw = np.stack([_changes(surface, film, rest_time) for film in films], axis=1)
     votes, cameras = _votes(even, raw), np.isfinite(even).sum(0)
     firm, loose = (_seen_by_two(surface, _cut(surface, votes, t), cameras) for t in TOGETHER)
-    return firm | _rises(surface, loose & ~firm, ~(firm | loose))
+    return firm | _rises(surface, _away(surface, loose & ~firm, even), ~(firm | loose))
 
 
 def _changes(surface: Surface, film: Film, rest_time: float) -> Float[np.ndarray, "2 n"]:
@@ -163,6 +166,15 @@ def _seen_by_two(
     """
     kept = _pieces_with(surface, moves, cameras >= 2, cameras >= 1, BY_TWO)
     return kept if kept.any() else moves
+
+
+def _away(
+    surface: Surface, moves: Bool[np.ndarray, " n"], even: Float[np.ndarray, "c n"]
+) -> Bool[np.ndarray, " n"]:
+    """Only pieces that are seen to be away for most of the time: the edge of a shade comes and goes."""
+    least = np.where(np.isfinite(even), even, np.inf).min(axis=0)
+    seen = np.isfinite(least)
+    return _pieces_with(surface, moves, seen & (least > AWAY), seen, 0.5)
 
 
 def _rises(

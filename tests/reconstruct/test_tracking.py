@@ -24,7 +24,9 @@ from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import (
+    AWAY,
     TOGETHER,
+    _away,
     _cut,
     _rises,
     _seen_by_two,
@@ -551,6 +553,22 @@ def test_what_changes_in_brightness_only_moves_if_a_camera_sees_another_colour(
 ) -> None:
     (vote,) = _votes(np.array(colours)[:, None], np.array(brightness)[:, None])
     assert np.sign(vote) == sign
+
+
+def test_a_piece_that_neighbours_hold_less_moves_only_if_it_stays_away() -> None:
+    """Half of the points that cameras saw at rest have to look different for most of the time, to all of these."""
+    along = np.arange(10) * SPACING
+    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
+    surface = Surface(
+        np.concatenate([patch, patch + [0, 0, 1], patch + [0, 0, 2], patch + [0, 0, 3]]),
+        np.tile([0.0, 0.0, 1.0], (400, 1)), np.full((400, 3), 0.5), SPACING,
+    )  # fmt: skip
+    gone, unseen = np.repeat([AWAY + 0.1, 0.2], [46, 44]), np.full(10, np.nan)
+    shade, never = np.repeat([AWAY + 0.1, AWAY - 0.1], [40, 60]), np.full(100, np.nan)
+    even = np.tile(np.concatenate([gone, unseen, shade, never, np.full(100, 0.9)]), (2, 1))
+    even[1, :200], even[1, 300:] = 1.0, AWAY - 0.1
+    assert np.array_equal(_away(surface, np.ones(400, bool), even), np.arange(400) < 100)
+    assert not _away(surface, np.zeros(400, bool), even).any()
 
 
 def test_a_piece_that_neighbours_hold_less_moves_only_if_it_rises_from_what_stands() -> None:
