@@ -141,8 +141,9 @@ class Store:
         Raises:
             DamagedError: It is not what was stored.
         """
-        folder = workspace.fresh_folder(stage)
+        folder = workspace.new_folder(stage)
         try:
+            folder.mkdir()
             self.get(scene, stage, stamp, folder)
             write_json(folder / STAMP, stamp)
             workspace.commit(stage, folder)

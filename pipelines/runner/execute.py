@@ -213,7 +213,8 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
     try:
         if is_forced(stage.name, run.choice):
             remember_forced(run.run_dir, stage.name)
-        folder = workspace.fresh_folder(stage.name)
+        folder = workspace.new_folder(stage.name)
+        folder.mkdir()
         if from_cache and run.cache is not None:
             if run.cache.take(stage, made_from, folder):
                 workspace.commit(stage.name, folder)

@@ -76,11 +76,9 @@ class Workspace:
         """Let others run here."""
         self._lock.release()
 
-    def fresh_folder(self, stage: str) -> Path:
-        """An empty folder for a stage to write into."""
-        folder = self.run_dir / f"{NEW}{stage}-{os.getpid()}-{secrets.token_hex(3)}"
-        folder.mkdir()
-        return folder
+    def new_folder(self, stage: str) -> Path:
+        """The path of a folder for a stage to write into: known before it is made, so that it can always be removed."""
+        return self.run_dir / f"{NEW}{stage}-{os.getpid()}-{secrets.token_hex(3)}"
 
     def commit(self, stage: str, folder: Path) -> None:
         """Give a complete folder the stage's name.
