@@ -97,8 +97,8 @@ def follow_both_ways(
     if not offsets.any():
         runs.write()
         return [tracks]
-    again = tracks  # by nodes: parts that wrong clocks have shown are wrong ones, and hold what they should let go
-    for n in range(MOST_AGAIN):
+    again = tracks
+    for n in range(MOST_AGAIN):  # by nodes: parts that were found with wrong clocks are wrong ones
         known = offsets
         again, seen = followed(graph, known, f"{n + 1} times again")
         offsets = offsets_to_follow(seen, gap)

@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -231,6 +232,21 @@ def test_a_forced_stage_that_was_stopped_runs_again(folder: Path) -> None:
     assert [now.why for now in found] == [(), ("forced before, and not finished",), (), ("second runs",)]
     assert executed(folder) == ["second"]
     assert executed(folder) == []
+
+
+def test_a_signal_right_after_a_folder_was_made_leaves_none(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Path.mkdir
+
+    def stopped(path: Path, *args: Any, **options: Any) -> None:
+        made(path, *args, **options)
+        if path.name.startswith(".new-second-"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "mkdir", stopped)
+    assert execute(job(folder, small_stages())) == STOPPED
+    assert not list((folder / "run").glob(".new-*"))
 
 
 def test_what_a_native_program_said_is_kept(folder: Path, capsys: pytest.CaptureFixture) -> None:

@@ -537,11 +537,7 @@ def test_what_one_camera_alone_sees_change_does_not_move_where_others_are_seen_b
 @pytest.mark.parametrize(
     ("colours", "brightness", "sign"),
     [
-        (
-            [0.1, 0.9],
-            [0.8, 1.0],
-            1,
-        ),  # a white thing left a white wall, and a red one behind it for another camera
+        ([0.1, 0.9], [0.8, 1.0], 1),  # it left a wall of its hue, and another one for another camera
         ([0.1, 0.1], [0.8, 1.0], -1),  # it is in the shade
         ([0.1, 0.9], [0.3, 1.0], -1),  # one camera sees it there
         ([np.nan, 0.9], [np.nan, 1.0], 1),
@@ -553,6 +549,16 @@ def test_what_changes_in_brightness_only_moves_if_a_camera_sees_another_colour(
 ) -> None:
     (vote,) = _votes(np.array(colours)[:, None], np.array(brightness)[:, None])
     assert np.sign(vote) == sign
+
+
+@pytest.mark.parametrize("votes", [0.9, -0.6])
+def test_a_few_points_that_have_no_surroundings_are_what_they_are_found_to_be(votes: float) -> None:
+    along = np.arange(10) * SPACING
+    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
+    xyz = np.concatenate([patch, patch[:20] + [0, 0, 1]])
+    surface = Surface(xyz, np.tile([0.0, 0.0, 1.0], (120, 1)), np.full((120, 3), 0.5), SPACING)
+    found = _cut(surface, np.repeat([-votes, votes], [100, 20]), TOGETHER[0])
+    assert np.array_equal(found, np.repeat([votes < 0, votes > 0], [100, 20]))
 
 
 def test_a_piece_that_neighbours_hold_less_moves_only_if_it_stays_away() -> None:
