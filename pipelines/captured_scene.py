@@ -29,6 +29,7 @@ from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.what_moves import filmed_clip, stretches_of
+from devrf.reconstruct.pictures import training
 
 PLAIN = "white"  # behind a subject with mattes, as behind data sets' pictures with alpha
 TIME_SLACK_S = 1e-6
@@ -61,7 +62,7 @@ def scene_from_capture(
     mattes = scene_mattes(
         context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
     )
-    used = {frame.camera_name for frame in dynamic}
+    used = {frame.camera_name for frame in dynamic if frame.split == "train"}
     clips = {
         name: filmed_clip(ingest, camera, rig.cameras[name].camera, clocks[name])
         for name, camera in frames.moving.items()
@@ -84,20 +85,20 @@ def scene_from_capture(
     context.progress(0.8, "box")
     bounds = scene_bounds(
         [f.camera for f in static],
-        [c.camera for c in rig.cameras.values()],
+        [rig.cameras[name].camera for name, camera in frames.moving.items() if camera.role != "test"],
         xyz,
         distances,
         masks,
         "what moves" if mattes is None else "the subject's mattes",
         lambda: stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
-        across(static + dynamic),
+        across(training(static + dynamic)),
     )
     context.health.extend(box_health(bounds, moves, mattes, dynamic, static))
     rest = None
     if dynamic:
-        of_camera = {n: [f for f in dynamic if f.camera_name == n and f.split == "train"] for n in moves}
+        of_camera = {n: [f for f in dynamic if f.camera_name == n] for n in moves}
         filmed = {name: clip for name, clip in of_camera.items() if len(clip) > 1}
-        rest, seen = rest_time(config.capture.rest, filmed, moves, _shared(dynamic), model, factor, ingest)
+        rest, seen = rest_time(config.capture.rest, filmed, moves, _shared(training(dynamic)), model, factor, ingest)
         context.health.append(seen)
     scene = Scene(
         static=static,
@@ -230,7 +231,7 @@ def left_out(cameras: Sequence[str], dynamic: Sequence[PosedFrame]) -> list[Heal
 
 
 def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:
-    """The first and the last time at which all cameras film; may be none, the first after the last."""
+    """The first and the last time at which all of these cameras film; may be none, the first after the last."""
     times: dict[str, list[float]] = {}
     for frame in dynamic:
         times.setdefault(frame.camera_name, []).append(frame.time or 0.0)

@@ -40,7 +40,7 @@ def rest_time(
         asked: What scene.yaml says.
         clips: Training cameras: their pictures in the order of time, two or more.
         masks: What moves in each.
-        shared: The first and the last time at which all cameras film, test cameras too, in [0, 1].
+        shared: The first and the last time at which all of these film, in [0, 1].
         model: The sweep; without one nothing is measured.
         factor: From the sweep's unit to the cameras'.
         ingest: Folder of that stage.
