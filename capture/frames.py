@@ -144,9 +144,22 @@ class FrameSet:
     true_times: bool = False
 
     @property
+    def trained(self) -> dict[str, CameraFrames]:
+        """The fixed cameras that film the motion and are trained on; the first one's clock is the session's."""
+        return self._of_role("camera")
+
+    @property
+    def tests(self) -> dict[str, CameraFrames]:
+        """The fixed cameras that film the motion and are only measured with: nothing depends on what they show."""
+        return self._of_role("test")
+
+    @property
     def moving(self) -> dict[str, CameraFrames]:
-        """The fixed cameras that film the motion, test cameras too."""
-        return {name: c for name, c in self.cameras.items() if c.role in ("camera", "test")}
+        """The fixed cameras that film the motion, test cameras last."""
+        return self.trained | self.tests
+
+    def _of_role(self, role: Role) -> dict[str, CameraFrames]:
+        return {name: c for name, c in self.cameras.items() if c.role == role}
 
     def write(self, folder: Path) -> None:
         """Write `ingest.json` into `folder`."""

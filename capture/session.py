@@ -36,7 +36,7 @@ class CaptureSession:
 
     Attributes:
         static: The sweep: a video, or a folder of photos or RAW files; None without one.
-        cameras: Name -> clip of every fixed camera, test cameras too; the first one's clock is the session's.
+        cameras: Name -> clip of every fixed camera, test cameras last; the first one's clock is the session's.
         test_names: Names of the cameras that are never trained on.
         timestamps: CSV with camera, frame_index, time_s, or None.
         board_clips: Name -> clip or folder of photos of the board before this camera alone.

@@ -8,7 +8,7 @@ o_a + r_a f_a = o_b + r_b f_b.
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,8 @@ Cue = Literal["reference", "audio", "flash", "motion", "timestamps", "geometry",
 
 DRIFT_PRIOR_PPM = 30.0  # standard deviation between consumer cameras (7 to 50 ppm are measured)
 DRIFT_KNOWN_PPM = 10.0  # a drift is given only where it is known better than this
+SURE = 0.5  # confidence of a clock that a cue made known
+HELD_STD_S = 1e-6  # of a clock that is held: a thousandth of what the best cue says
 OUTLIER_SIGMAS = 5.0
 OUTLIER_S = {"audio": 1e-3}  # sound travels 0.34 m in 1 ms: less is no contradiction
 
@@ -101,6 +103,25 @@ class Loop:
     cameras: tuple[str, str, str]
     cue: PairCue
     closure_s: float
+
+
+def held(clocks: Mapping[str, Clock], spans_s: Mapping[str, tuple[float, float]]) -> list[Equation]:
+    """Equations that leave known clocks as they are: both ends of each clip, on the first one's clock.
+
+    Args:
+        clocks: The known ones, the reference first; those that a cue did not make sure stay guesses.
+        spans_s: Camera -> (first, last) file time of its frames.
+    """
+    first, *others = clocks
+    out = []
+    for name in others:
+        clock = clocks[name]
+        sure = clock.confidence >= SURE
+        cue = clock.method if clock.method in get_args(PairCue) else "timestamps"
+        for file_s in spans_s[name]:
+            true_s = float(clock.true_time(np.array(file_s)))
+            out.append(Equation(first, name, true_s, file_s, HELD_STD_S, cue, 1.0, sure, not sure))
+    return out
 
 
 def solve(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equation]) -> Solution:

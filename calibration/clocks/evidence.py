@@ -1,7 +1,7 @@
 """What the cameras heard and saw together: equations between two clocks, by sound, flashes of light and motion."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -95,8 +95,12 @@ class Extras:
 
 @dataclass
 class Evidence:
-    """What was heard and seen: equations for the clocks, and what is to be told about them."""
+    """What was heard and seen: equations for the clocks, and what is to be told about them.
 
+    Two cameras of which both are `known` are not compared: their clocks stand.
+    """
+
+    known: frozenset[str] = frozenset()
     equations: list[Equation] = field(default_factory=list)
     checks: list[Equation] = field(default_factory=list)  # not needed for the clocks
     comparisons: list[Comparison] = field(default_factory=list)
@@ -108,12 +112,17 @@ class Evidence:
         """Believed equations of these cues; of all without any."""
         return [e for e in self.equations if e.accepted and (not cues or e.cue in cues)]
 
+    def pairs(self, names: Iterable[str]) -> list[tuple[str, str]]:
+        """The cameras that are compared with each other."""
+        return [(a, b) for a, b in itertools.combinations(names, 2) if not {a, b} <= self.known]
+
 
 def hear(names: Sequence[str], sounds: Mapping[str, Sound], out: Evidence, progress: Progress) -> None:
     """Compare the sound of every pair."""
     heard = [n for n in names if n in sounds]
-    out.notes += [f"camera {n}: {text}" for n in heard if (text := sound_faults.wind(sounds[n]))]
-    pairs = list(itertools.combinations(heard, 2))
+    new = [n for n in heard if n not in out.known]
+    out.notes += [f"camera {n}: {text}" for n in new if (text := sound_faults.wind(sounds[n]))]
+    pairs = out.pairs(heard)
     for i, (a, b) in enumerate(pairs):
         progress(i / len(pairs), f"sound of {a} and {b}")
         found = sound_delay(sounds[a], sounds[b])
@@ -148,7 +157,7 @@ def hear_again(
 ) -> None:
     """Sound with several peaks, near the delay that another cue or a timecode states: which peak is right."""
     trusted = {(e.a, e.b) for e in out.accepted("audio")}
-    for a, b in itertools.combinations([n for n in names if n in sounds], 2):
+    for a, b in out.pairs(n for n in names if n in sounds):
         prior = _prior(a, b, recorded, out)
         if (a, b) in trusted or prior is None:
             continue
@@ -181,6 +190,8 @@ def see_flashes(names: Sequence[str], extras: Extras, out: Evidence, aloud: bool
     if not aloud and sum(len(f.events) > 0 for f in seen.values()) < 2:
         return
     for name, found in seen.items():
+        if name in out.known:
+            continue
         if found.periodic:
             out.notes.append(f"camera {name}: flashes come at equal distances (periodic), not used")
         elif not found.events:
@@ -191,7 +202,7 @@ def see_flashes(names: Sequence[str], extras: Extras, out: Evidence, aloud: bool
             rows = ", ".join(f"{e.frame_s:.2f} s row {100 * min(e.row, 1):.0f} %" for e in found.events[:4])
             out.notes.append(f"camera {name}: {len(found.events)} flashes ({rows} of the height)")
     by_sound = groups(names, out.accepted("audio"))
-    for a, b in itertools.combinations(seen, 2):
+    for a, b in out.pairs(seen):
         found = flash_delay(seen[a], seen[b])
         if found is None:
             continue
@@ -230,7 +241,7 @@ def watch(
     """
     seen = [n for n in names if n in motion]
     group = groups(names, out.accepted())
-    pairs = list(itertools.combinations(seen, 2))
+    pairs = out.pairs(seen)
     for i, (a, b) in enumerate(pairs):
         needed = group[a] != group[b]
         progress(i / len(pairs), f"motion in {a} and {b}")

@@ -8,7 +8,7 @@ so. Cameras that see the same side of the subject are compared by tracks of comm
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -97,7 +97,10 @@ class GeometryCheck:
 
 
 def check_clocks(
-    views: Mapping[str, TimedPictures], clocks: Mapping[str, Clock], progress: Progress = no_progress
+    views: Mapping[str, TimedPictures],
+    clocks: Mapping[str, Clock],
+    progress: Progress = no_progress,
+    known: Collection[str] = (),
 ) -> GeometryCheck:
     """Compare all pairs of cameras.
 
@@ -105,23 +108,26 @@ def check_clocks(
         views: Camera -> camera and pictures, whose times are those of the clocks to be checked.
         clocks: The clocks, for how sure they are.
         progress: Called after each pair.
+        known: Cameras whose clocks stand: the others are compared with these, and these not with each other.
     """
     names = list(views)
     spans = {n: (float(v.time_s[0]), float(v.time_s[-1])) for n, v in views.items()}
     work = _Work(views)
-    combinations = list(itertools.combinations(names, 2))
+    combinations = [pair for pair in itertools.combinations(names, 2) if not set(pair) <= set(known)]
+    stand = [n for n in names if n in known]
+    firm = [Equation(stand[0], n, 0.0, 0.0, LEAST_STD_S, "geometry", 1.0) for n in stand[1:]]
     planes, pairs = {}, {}
     for i, (a, b) in enumerate(combinations):
         progress(0.5 * i / len(combinations), f"geometry of {a} and {b}")
         planes[a, b] = work.planes(a, b)
         unsure_s = float(np.hypot(clocks[a].std_s, clocks[b].std_s))
         pairs[a, b] = _better(work.wide_search(a, b, planes[a, b], unsure_s), planes[a, b])
-    found = _solve(spans, pairs)[0].offset_s
+    found = _solve(spans, pairs, firm)[0].offset_s
     for i, (a, b) in enumerate(combinations):
         progress(0.5 + 0.5 * i / len(combinations), f"geometry of {a} and {b}")
         if a in found and b in found and (tracks := work.narrow_search(a, b, found)):
             pairs[a, b] = _better(tracks, planes[a, b])
-    solution, kept, dropped = _solve(spans, pairs)
+    solution, kept, dropped = _solve(spans, pairs, firm)
     notes = [
         f"{a} and {b}: not observable, nothing moves in both across epipolar lines"
         for (a, b), p in pairs.items()
@@ -137,14 +143,14 @@ def check_clocks(
     said = [
         Equation(names[0], n, 0.0, 0.0, worth_s[n], "geometry", 1.0)
         for n in names[1:]
-        if np.isfinite(worth_s[n])
+        if np.isfinite(worth_s[n]) and n not in known
     ]
 
     seen = {n for e in kept for n in (e.a, e.b)}
 
     def corrections(by: Solution) -> dict[str, Correction]:
-        known = (n for n in names[1:] if n in by.offset_s and n in seen)
-        return {n: _correction(by.offset_s[n], by.std_s[n], work.step_s(n)) for n in known}
+        asked = (n for n in names[1:] if n in by.offset_s and n in seen and n not in known)
+        return {n: _correction(by.offset_s[n], by.std_s[n], work.step_s(n)) for n in asked}
 
     checked = tuple(p for p in pairs.values() if p is not None)
     held = corrections(solve(spans, [*kept, *said]))
@@ -258,13 +264,21 @@ def _better(tracks: PairCheck | None, planes: PairCheck | None) -> PairCheck | N
 
 
 def _solve(
-    spans: Mapping[str, tuple[float, float]], pairs: Mapping[tuple[str, str], PairCheck | None]
+    spans: Mapping[str, tuple[float, float]],
+    pairs: Mapping[tuple[str, str], PairCheck | None],
+    firm: Sequence[Equation],
 ) -> tuple[Solution, list[Equation], list[Equation]]:
-    """What each camera's times must be raised by; the pairs that agree, and those that do not."""
+    """What each camera's times must be raised by; the pairs that agree, and those that do not.
+
+    `firm`: of clocks that stand.
+    """
     equations = [
-        Equation(p.first, p.second, p.offset_s, 0.0, p.std_s, "geometry", 1.0)
-        for p in pairs.values()
-        if p is not None
+        *firm,
+        *(
+            Equation(p.first, p.second, p.offset_s, 0.0, p.std_s, "geometry", 1.0)
+            for p in pairs.values()
+            if p is not None
+        ),
     ]
     kept, dropped = consistent(spans, equations)
     return solve(spans, kept), kept, dropped

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.clocks.equations import (
+    SURE,
     Clock,
     Cue,
     Equation,
@@ -22,6 +23,7 @@ from devrf.calibration.clocks.equations import (
     Solution,
     consistent,
     groups,
+    held,
     loops,
     reached_from_first,
     solve,
@@ -90,6 +92,7 @@ def synchronise(
     true_times: bool = False,
     progress: Progress = no_progress,
     extras: Extras | None = None,
+    known: Mapping[str, Clock] | None = None,
 ) -> SyncResult:
     """Put all cameras on the first one's clock.
 
@@ -101,6 +104,7 @@ def synchronise(
         true_times: Whether the frames' times come from a table on one clock.
         progress: Called after each pair.
         extras: What else is known of the clips.
+        known: Clocks that stand, the first camera's among them; the others are found against these.
     Returns:
         Clocks. A camera that no cue reaches keeps its best guess with a confidence below 0.5.
     Raises:
@@ -115,15 +119,16 @@ def synchronise(
         return SyncResult({names[0]: _reference()})
     longest_s = max(b - a for a, b in spans_s.values())
     if method == "timestamps":
-        return _by_timecode(names, extras.recorded, longest_s)
+        return _by_timecode(names, extras.recorded, longest_s, known or {})
     if method == "none":
         basis = "the clips' own times are taken as true, unchecked"
         clocks = {n: Clock(0.0, 0.0, 0.0, "none", 0.0, basis) for n in names}
         return SyncResult(clocks, notes=("clocks are not synchronised: calibration.sync.method is none",))
-    evidence = Evidence()
+    known = dict(known or {})
+    evidence = Evidence(known=frozenset(known))
     sounds = {n: replace(s, start_s=s.start_s - extras.av_lag_s.get(n, 0.0)) for n, s in sounds.items()}
     if method in ("auto", "audio"):
-        silent = [n for n in names if n not in sounds]
+        silent = [n for n in names if n not in sounds and n not in known]
         if method == "audio" and silent:
             wrong = f"camera {', '.join(silent)}: no sound to synchronise by"
             remedy = "set calibration.sync.method to auto, flash or motion, or give capture.timestamps"
@@ -131,6 +136,8 @@ def synchronise(
         if silent:
             evidence.notes.append(f"camera {', '.join(silent)}: no sound")
         hear(names, sounds, evidence, progress)
+    if known:
+        evidence.equations += held(known, spans_s)
     if method in ("auto", "flash"):
         see_flashes(names, extras, evidence, aloud=method == "flash")
     if method in ("auto", "motion"):
@@ -140,12 +147,14 @@ def synchronise(
     if method == "auto":
         _settle_lags(spans_s, evidence)
         named = {n: extras.recorded[n] for n in names if n in extras.recorded}
-        evidence.equations += timecode_guesses(named, longest_s)
-    result = _settle(spans_s, evidence)
-    return _against_files(result, extras.recorded, longest_s)
+        evidence.equations += [e for e in timecode_guesses(named, longest_s) if not {e.a, e.b} <= set(known)]
+    result = _settle(spans_s, evidence, known)
+    return _against_files(result, extras.recorded, longest_s, known)
 
 
-def _by_timecode(names: Sequence[str], recorded: Mapping[str, Recorded], longest_s: float) -> SyncResult:
+def _by_timecode(
+    names: Sequence[str], recorded: Mapping[str, Recorded], longest_s: float, known: Mapping[str, Clock]
+) -> SyncResult:
     """Clocks by what the files' timecodes say, for cameras that are known to be jammed together."""
     without = [n for n in names if n not in recorded or recorded[n].timecode_s is None]
     if without:
@@ -155,7 +164,7 @@ def _by_timecode(names: Sequence[str], recorded: Mapping[str, Recorded], longest
         stated = stated_delay(recorded[names[0]], recorded[name])
         assert stated is not None
         clocks[name] = Clock(stated[0], 0.0, stated[1], "timestamps", TIMECODE_CONFIDENCE, TIMECODE_BASIS)
-    return _against_files(SyncResult(clocks), recorded, longest_s)
+    return _against_files(SyncResult(clocks), recorded, longest_s, known)
 
 
 def no_timecode(cameras: Sequence[str]) -> str:
@@ -172,7 +181,7 @@ def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence)
     first = next(iter(spans_s))
     late = set()
     for name in list(sound.offset_s)[1:]:
-        if name not in flash.offset_s:
+        if name not in flash.offset_s or name in evidence.known:
             continue
         difference_s = flash.offset_s[name] - sound.offset_s[name]
         unsure_s = float(np.hypot(sound.std_s[name], flash.std_s[name]))
@@ -195,7 +204,9 @@ def _offsets(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equ
     return solve(spans_s, consistent(spans_s, list(equations))[0])
 
 
-def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> SyncResult:
+def _settle(
+    spans_s: Mapping[str, tuple[float, float]], evidence: Evidence, known: Mapping[str, Clock]
+) -> SyncResult:
     """Solve the accepted equations; add the best refused ones for cameras that are not reached otherwise."""
     names, notes = list(spans_s), list(evidence.notes)
     backed = _backed_by_others(spans_s, evidence.equations)
@@ -203,19 +214,19 @@ def _settle(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> S
     notes += [f"{e.a} and {e.b}: {_word(e.cue)} contradicts the other pairs; dropped" for e in dropped]
     notes += [f"{e.a} and {e.b}: motion trusted all the same, other pairs agree with it" for e in backed]
     sure = reached_from_first(names, used)
-    believed = loops(names, used)
+    believed = [loop for loop in loops(names, used) if not set(loop.cameras) <= evidence.known]
     used = _with_guesses(spans_s, used, [e for e in evidence.equations if e.guess and e not in backed])
     solution = solve(spans_s, used)
     reached = reached_from_first(names, used)
-    clocks = {names[0]: _reference()}
-    for name in names[1:]:
+    clocks = {names[0]: _reference()} | dict(known)
+    new = [name for name in names if name not in clocks]
+    for name in new:
         clocks[name] = _clock(name, names, used, solution, reached, name in sure)
     best = {n for n in names if clocks[n].method in ("reference", "audio", "flash")}
-    if len(best) < len(names) and best != {names[0]}:
+    others = [name for name in new if name not in best]
+    if others and best != {names[0]}:
         cues = " and ".join(dict.fromkeys(_word(clocks[n].method) for n in names[1:] if n in best))
-        notes.append(
-            f"camera {', '.join(n for n in names if n not in best)}: by motion, the others by {cues}"
-        )
+        notes.append(f"camera {', '.join(others)}: by motion, the others by {cues}")
     loop_s = None
     if len(used) > len(reached) - 1:
         surest = "audio" if any(e.cue == "audio" for e in used) else used[0].cue  # others are coarser by far
@@ -332,13 +343,19 @@ def _against_motion(solution: Solution, checks: Sequence[Equation]) -> list[Comp
     return out
 
 
-def _against_files(result: SyncResult, recorded: Mapping[str, Recorded], longest_s: float) -> SyncResult:
-    """The result, with a note for each file whose own times contradict it."""
+def _against_files(
+    result: SyncResult,
+    recorded: Mapping[str, Recorded],
+    longest_s: float,
+    known: Mapping[str, Clock],
+) -> SyncResult:
+    """The result, with a note for each file, but those of `known` clocks, whose own times contradict it."""
     first = next(iter(result.cameras))
     measured = {
-        (first, n): c.offset_s for n, c in result.cameras.items() if n != first and c.confidence >= 0.5
+        (first, n): c.offset_s for n, c in result.cameras.items() if n != first and c.confidence >= SURE
     }
-    named = {n: recorded[n] for n in result.cameras if n in recorded}
+    new = [n for n in result.cameras if n == first or n not in known]
+    named = {n: recorded[n] for n in new if n in recorded}
     if first not in named:
         return result
     return replace(result, notes=(*result.notes, *doubts(named, measured, longest_s)))
