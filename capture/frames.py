@@ -137,11 +137,13 @@ class FrameSet:
         cameras: Name -> frames: "static", the cameras, "board_<camera>", "joint_<camera>".
         joint: Camera -> name of the entry in `cameras` that shows the board to several cameras at once.
         true_times: Whether the cameras' times come from a table on one clock.
+        left_out: Test camera that has no picture to measure with -> why.
     """
 
     cameras: dict[str, CameraFrames]
     joint: dict[str, str] = field(default_factory=dict)
     true_times: bool = False
+    left_out: dict[str, str] = field(default_factory=dict)
 
     @property
     def trained(self) -> dict[str, CameraFrames]:
@@ -176,7 +178,8 @@ class FrameSet:
         try:
             raw = json.loads(path.read_text())
             cameras = {name: _camera_frames(entry) for name, entry in raw["cameras"].items()}
-            return FrameSet(cameras, dict(raw["joint"]), bool(raw["true_times"]))
+            left_out = dict(raw.get("left_out", {}))
+            return FrameSet(cameras, dict(raw["joint"]), bool(raw["true_times"]), left_out)
         except (OSError, ValueError, KeyError, TypeError) as error:
             text = f"{path}: cannot be read ({error!r}); run again with --from ingest"
             raise CaptureError("file-damaged", text) from None

@@ -8,7 +8,7 @@ clips in which several cameras see the board at once "joint_<camera>" unless the
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def write_frames(
     out: Path,
     root: Path,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-    only_ranges: bool = False,
+    only_ranges: Collection[str] = (),
     progress: Progress = no_progress,
     workers: int | None = None,
 ) -> FrameSet:
@@ -71,11 +71,13 @@ def write_frames(
         out: The ingest folder.
         root: Sources are named relative to this folder (the one of scene.yaml).
         ranges: Camera -> (from, to), only frames in this span of the camera's own times are kept.
-        only_ranges: Measure nothing outside `ranges` either (no clock needs it): long clips are not read in full.
+        only_ranges: Cameras of which nothing outside `ranges` is measured either (no clock needs it): long clips are
+            not read in full.
         progress: Called with the share of sources that are done.
         workers: Pictures in memory at once, decoded, developed or written; None: one per core. It changes no result.
     Raises:
-        InputError, CaptureError: Naming the file, what was found and the remedy.
+        InputError, CaptureError: Naming the file, what was found and the remedy; a test camera without a picture that
+            can be used is left out instead.
     """
     ranges = ranges or {}
     times = {} if session.timestamps is None else read_timestamps(session.timestamps, session.cameras)
@@ -109,9 +111,16 @@ def write_frames(
     if session.static is not None:
         most = None if session.static.is_dir() else MAX_SWEEP_FRAMES
         extract(SWEEP, session.static, "sweep", Keep(most=most))
+    left_out = {}
     for name, path in session.cameras.items():
-        role: Role = "test" if name in session.test_names else "camera"
-        extract(name, path, role, Keep(range_s=ranges.get(name), only_range=only_ranges), name)
+        keep = Keep(range_s=ranges.get(name), only_range=name in only_ranges)
+        if name not in session.test_names:
+            extract(name, path, "camera", keep, name)
+            continue
+        try:
+            extract(name, path, "test", keep, name)
+        except CaptureError as error:
+            left_out[name] = str(error)
     for name, path in session.board_clips.items():
         extract(f"board_{name}", path, "board", Keep(most=MAX_BOARD_FRAMES))
     for name, path in joint_clips.items():
@@ -121,7 +130,7 @@ def write_frames(
         progress(1.0, f"white sheet of {name}")
         np.save(out / "white" / f"{name}.npy", mean_white(path))
     joint = {c: c if session.shares_joint_clip(c) else f"joint_{c}" for c in session.joint_clips}
-    frames = FrameSet(cameras, joint, bool(times))
+    frames = FrameSet(cameras, {c: n for c, n in joint.items() if c not in left_out}, bool(times), left_out)
     frames.write(out)
     return frames
 

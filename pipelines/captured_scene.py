@@ -2,9 +2,10 @@
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,15 +17,15 @@ from devrf.calibration.colour.result import read_colours
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.errors import CaptureError
-from devrf.capture.frames import FrameSet
+from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 from devrf.pipelines.clock_check import clock_check
-from devrf.pipelines.clocks import read_sync
+from devrf.pipelines.clocks import clock_dict, read_sync
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
-from devrf.pipelines.health.rows import HealthRow, note
+from devrf.pipelines.health.rows import HealthRow, note, of_test, without_refusal
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
@@ -50,15 +51,18 @@ def scene_from_capture(
     frames = FrameSet.read(ingest)
     rig_file, sweep_folder = context.run_dir / "rig" / "rig.json", context.run_dir / "static_poses"
     rig = read_rig(rig_file) if frames.moving else Rig({}, ARBITRARY)
-    model = read_static_poses(sweep_folder) if (sweep_folder / "static_poses.json").is_file() else None
+    frames = _placed(frames, rig)
+    whole = read_static_poses(sweep_folder) if (sweep_folder / "static_poses.json").is_file() else None
+    every = config.evaluate.holdout_every
+    model = None if whole is None else whole.without_held_out(every)
     factor = rig.scale.factor
-    static = () if model is None else _sweep_frames(model, ingest, factor, config.evaluate.holdout_every)
+    static = () if whole is None else _sweep_frames(whole, ingest, factor, every)
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
     context.health.extend(left_out(list(frames.moving), dynamic))
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
-    points = None if model is None else _points(model, factor)
+    points = None if whole is None else _points(whole, factor, every)
     mattes = scene_mattes(
         context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
     )
@@ -84,8 +88,8 @@ def scene_from_capture(
         xyz, distances = points.xyz, np.linalg.norm(end - start, axis=1)
     context.progress(0.8, "box")
     bounds = scene_bounds(
-        [f.camera for f in static],
-        [rig.cameras[name].camera for name, camera in frames.moving.items() if camera.role != "test"],
+        [f.camera for f in training(static)],
+        [rig.cameras[name].camera for name in frames.trained],
         xyz,
         distances,
         masks,
@@ -98,7 +102,9 @@ def scene_from_capture(
     if dynamic:
         of_camera = {n: [f for f in dynamic if f.camera_name == n] for n in moves}
         filmed = {name: clip for name, clip in of_camera.items() if len(clip) > 1}
-        rest, seen = rest_time(config.capture.rest, filmed, moves, _shared(training(dynamic)), model, factor, ingest)
+        rest, seen = rest_time(
+            config.capture.rest, filmed, moves, _shared(training(dynamic)), model, factor, ingest
+        )
         context.health.append(seen)
     scene = Scene(
         static=static,
@@ -123,7 +129,7 @@ def _sweep_frames(model: SweepModel, ingest: Path, factor: float, every: int) ->
     """The registered sweep in the rig's unit; every n-th picture is held out."""
     unit = np.diag([factor, factor, factor, 1.0])
     out = []
-    for n, (name, camera) in enumerate(zip(model.names, model.cameras, strict=True)):
+    for name, camera, held in zip(model.names, model.cameras, model.held_out(every).tolist(), strict=True):
         out.append(
             PosedFrame(
                 path=ingest / "frames" / name,
@@ -132,7 +138,7 @@ def _sweep_frames(model: SweepModel, ingest: Path, factor: float, every: int) ->
                 index=int(Path(name).stem),
                 time_s=None,
                 time=None,
-                split="test" if n % every == 0 else "train",
+                split="test" if held else "train",
             )
         )
     return tuple(out)
@@ -148,24 +154,50 @@ def _with_looks(folder: Path, *parts: tuple[PosedFrame, ...]) -> tuple[tuple[Pos
 
 
 def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Clock]:
-    """The moving cameras' clocks: what `sync` found, checked by geometry and replaced where that is surer."""
+    """The moving cameras' clocks: what `sync` found, checked by geometry and replaced where that is surer.
+
+    Those of test cameras come after, each against the others, which stand.
+    """
     if len(frames.moving) < 2:
         return read_sync(context.run_dir) if frames.moving else {}
-    ingest = context.run_dir / "ingest"
-    clocks, rows, content = clock_check(
-        ingest,
-        frames.moving,
-        {name: camera.camera for name, camera in rig.cameras.items()},
-        read_sync(context.run_dir),
-        read_motion(ingest, frames),
-        rig.scale.metric,
-        lambda done, text: context.progress(0.4 * done, text),
-    )
-    if content:
-        text = json.dumps(content, allow_nan=False) + "\n"
-        (context.out / "clock_check.json").write_text(text, encoding="utf-8")
-    context.health.extend(rows)
+    ingest, said = context.run_dir / "ingest", read_sync(context.run_dir)
+    cameras = {name: camera.camera for name, camera in rig.cameras.items()}
+    motion = read_motion(ingest, frames)
+    parts = 1 + len(frames.tests)
+
+    def check(
+        n: int, asked: Mapping[str, CameraFrames], clocks: Mapping[str, Clock], known: Collection[str] = ()
+    ) -> tuple[dict[str, Clock], list[HealthRow], dict[str, Any]]:
+        return clock_check(
+            ingest, asked, cameras, clocks, motion, rig.scale.metric,
+            lambda done, text: context.progress(0.4 * (n + done) / parts, text), known,
+        )  # fmt: skip
+
+    clocks = {name: said[name] for name in frames.trained}
+    content: dict[str, Any] = {}
+    if len(clocks) > 1:
+        clocks, rows, content = check(0, frames.trained, clocks)
+        context.health.extend(rows)
+    content = content or {"cameras": {name: clock_dict(clock) for name, clock in clocks.items()}}
+    content["tests"] = {}
+    for n, (name, camera) in enumerate(frames.tests.items()):
+        alone = {one: clocks[one] for one in frames.trained} | {name: said[name]}
+        found, rows, told = check(n + 1, frames.trained | {name: camera}, alone, frames.trained)
+        clocks[name] = found[name]
+        content["cameras"][name] = clock_dict(found[name])
+        content["tests"][name] = {key: value for key, value in told.items() if key != "cameras"}
+        context.health.extend(without_refusal(of_test(name, rows)))
+    text = json.dumps(content, allow_nan=False) + "\n"
+    (context.out / "clock_check.json").write_text(text, encoding="utf-8")
     return clocks
+
+
+def _placed(frames: FrameSet, rig: Rig) -> FrameSet:
+    """What was filmed, without test cameras that have no place in the rig."""
+    return replace(
+        frames,
+        cameras={n: c for n, c in frames.cameras.items() if c.role != "test" or n in rig.cameras},
+    )
 
 
 def _moving_frames(
@@ -187,7 +219,7 @@ def _moving_frames(
             text = f"camera '{name}' has no frames; check its clip and capture.range_s"
             raise CaptureError("camera-without-frames", text)
     filmed = {name: (rows[0][2], rows[-1][2]) for name, rows in times.items()}
-    taught = [span for name, span in filmed.items() if frames.moving[name].role != "test"]
+    taught = [span for name, span in filmed.items() if name in frames.trained]
     t0_s, t1_s = span_of(taught) or (0.0, 0.0)
     if context.config.capture.range_s is not None:
         from_s, to_s = context.config.capture.range_s
@@ -201,7 +233,7 @@ def _moving_frames(
         for index, path, time_s in rows:
             if t0_s - TIME_SLACK_S <= time_s <= t1_s + TIME_SLACK_S:
                 time = float(np.clip((time_s - t0_s) / (t1_s - t0_s), 0.0, 1.0))
-                split = "test" if frames.moving[name].role == "test" else "train"
+                split = "test" if name in frames.tests else "train"
                 out.append(PosedFrame(path, rig.cameras[name].camera, name, index, time_s, time, split))
     return without_single_pictures(out), t0_s, t1_s
 
@@ -238,10 +270,11 @@ def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:
     return max(min(t) for t in times.values()), min(max(t) for t in times.values())
 
 
-def _points(model: SweepModel, factor: float) -> SparsePoints:
-    """Good points in the rig's unit, and the pictures that show them."""
-    track = np.bincount(model.obs_point, minlength=len(model.xyz))
+def _points(model: SweepModel, factor: float, every: int) -> SparsePoints:
+    """Good points in the rig's unit, and the pictures that show them; those that are held out tell nothing."""
+    told = ~model.held_out(every)[model.obs_image]
+    track = np.bincount(model.obs_point[told], minlength=len(model.xyz))
     good = (model.error_px < MAX_ERROR_PX) & (track >= MIN_TRACK)
     number = np.cumsum(good) - 1
-    seen = good[model.obs_point]
+    seen = good[model.obs_point] & told
     return SparsePoints(factor * model.xyz[good], number[model.obs_point[seen]], model.obs_image[seen])

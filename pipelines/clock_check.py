@@ -1,6 +1,6 @@
 """Clocks against geometry, once cameras are known: reads pictures, calls the check, makes rows of it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -77,17 +77,23 @@ def clock_check(
     motion: Mapping[str, Float[np.ndarray, "_ 2"]],
     metric: bool,
     progress: Progress,
+    known: Collection[str] = (),
 ) -> tuple[dict[str, Clock], list[HealthRow], dict[str, Any]]:
-    """The clocks to be used, rows about them, and the content of `clock_check.json`."""
+    """The clocks to be used, rows about them, and the content of `clock_check.json`.
+
+    `known`: cameras whose clocks stand, which the others are checked against.
+    """
     views = timed_pictures(folder, frames, cameras, clocks, motion)
-    if len(views) < 2:
+    if len(views) < 2 or views.keys() <= set(known):
         few = f"fewer than {MIN_FRAMES} pictures of two cameras in a time that they share"
         rows = [note("clocks that geometry cannot check", few)]
-        return dict(clocks), rows + unknown_rows(clocks, "too few pictures for geometry", frames), {}
-    check = check_clocks(views, clocks, progress)
+        asked = {n: c for n, c in clocks.items() if n not in known}
+        return dict(clocks), rows + unknown_rows(asked, "too few pictures for geometry", frames), {}
+    check = check_clocks(views, clocks, progress, known)
     used = refined(clocks, check)
-    rows = check_rows(check, clocks, used, frames) + unknown_rows(used, "; ".join(check.notes), frames)
-    if metric:
+    asked = {n: c for n, c in used.items() if n not in known}
+    rows = check_rows(check, clocks, asked, frames) + unknown_rows(asked, "; ".join(check.notes), frames)
+    if metric and not known:
         rows += sound_travel(cameras, clocks)
     return used, rows, _content(check, used)
 
@@ -131,7 +137,7 @@ def check_rows(
     unchecked = [
         n
         for n in list(clocks)[1:]
-        if n not in replaced and (n not in check.corrections or not check.corrections[n].sharp)
+        if n in used and n not in replaced and (n not in check.corrections or not check.corrections[n].sharp)
     ]
     if unchecked:
         text = (

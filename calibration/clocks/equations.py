@@ -8,7 +8,7 @@ o_a + r_a f_a = o_b + r_b f_b.
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -117,7 +117,7 @@ def held(clocks: Mapping[str, Clock], spans_s: Mapping[str, tuple[float, float]]
     for name in others:
         clock = clocks[name]
         sure = clock.confidence >= SURE
-        cue = clock.method if clock.method in get_args(PairCue) else "timestamps"
+        cue: PairCue = clock.method if clock.method not in ("reference", "none") else "timestamps"
         for file_s in spans_s[name]:
             true_s = float(clock.true_time(np.array(file_s)))
             out.append(Equation(first, name, true_s, file_s, HELD_STD_S, cue, 1.0, sure, not sure))

@@ -63,12 +63,21 @@ ARBITRARY = Scale(False, "arbitrary scale", 1.0, None)
 
 @dataclass(frozen=True)
 class Rig:
-    """All fixed cameras, test cameras too, the scale, and which cameras are tied together by what."""
+    """All fixed cameras, test cameras too, and the scale.
+
+    Attributes:
+        cameras: Name -> camera.
+        scale: How long a unit is.
+        route: What gave the poses: `sweep`, `board` or `given`.
+        graph: Which cameras that are trained on are tied together by what.
+        left_out: Test camera that could not be placed -> why.
+    """
 
     cameras: dict[str, RigCamera]
     scale: Scale
     route: str = "sweep"
     graph: tuple[Link, ...] = ()
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
 def write_rig(path: Path, rig: Rig) -> None:
@@ -93,6 +102,8 @@ def write_rig(path: Path, rig: Rig) -> None:
     content = {"route": rig.route, "cameras": cameras, "scale": scale}
     if rig.graph:
         content["graph"] = [asdict(link) for link in rig.graph]
+    if rig.left_out:
+        content["left_out"] = rig.left_out
     path.write_text(json.dumps(content, indent=1))
 
 
@@ -139,7 +150,7 @@ def read_rig(path: Path) -> Rig:
         )
         if not 0 < scale.factor < float("inf"):
             raise ValueError(f"scale.factor is {scale.factor:g}, expected a finite number above 0")
-        return Rig(cameras, scale, data.get("route", "given"))
+        return Rig(cameras, scale, data.get("route", "given"), left_out=dict(data.get("left_out", {})))
     except OSError as error:
         text = f"{path}: cannot be read ({error.strerror}); check calibration.rig.given"
         raise InputError("file-unreadable", text) from None

@@ -8,7 +8,7 @@ same system.
 
 import shutil
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +68,7 @@ class SweepRig:
         cameras: Name -> camera; index: name -> camera of the problem.
         solution: The adjusted problem; the sweep's cameras come first.
         support: Name -> its own observations that fit; like: name -> calibration or guess it started from.
+        registrations: Name -> how it was registered.
     """
 
     cameras: dict[str, RigCamera]
@@ -75,6 +76,7 @@ class SweepRig:
     index: dict[str, int]
     support: dict[str, Int[np.ndarray, " n"]]
     like: dict[str, Intrinsics]
+    registrations: dict[str, Registration]
 
 
 def rig_from_sweep(
@@ -83,6 +85,7 @@ def rig_from_sweep(
     out: Path,
     progress: Progress = no_progress,
     threads: int | None = None,
+    standing: SweepRig | None = None,
 ) -> SweepRig:
     """Register and refine the fixed cameras, in the sweep's unit.
 
@@ -92,6 +95,7 @@ def rig_from_sweep(
         out: Folder for logs and temporary files.
         progress: Called per camera.
         threads: Pictures whose features are found at once; None: one per core.
+        standing: Cameras that are placed already: they stay, as the sweep does, and what they see counts.
     Raises:
         HealthError: Cameras that share no view with the sweep, with their inlier counts.
     """
@@ -115,7 +119,21 @@ def rig_from_sweep(
             "and check that they film the same place"
         )
         raise HealthError("rig-unlinked-camera", f"{'; '.join(refused)}. {remedy}")
-    return _refined(model, inputs, found)
+    return _refined(model if standing is None else _with_standing(model, standing), inputs, found)
+
+
+def _with_standing(model: SweepModel, rig: SweepRig) -> SweepModel:
+    """The model with more cameras and what they see, for a refinement; features of these are not kept."""
+    S, seen = len(model.cameras), list(rig.registrations.values())
+    counts = [len(r.points) for r in seen]
+    return replace(
+        model,
+        names=(*model.names, *rig.registrations),
+        cameras=(*model.cameras, *(rig.cameras[name].camera for name in rig.registrations)),
+        obs_point=np.concatenate([model.obs_point, *(r.points for r in seen)]),
+        obs_image=np.concatenate([model.obs_image, np.repeat(S + np.arange(len(seen)), counts)]),
+        obs_xy=np.concatenate([model.obs_xy, *(r.xy for r in seen)]),
+    )
 
 
 def _features(
@@ -186,7 +204,8 @@ def _refined(
         cameras[name] = rig_camera(
             solution, index[name], item.like, item.intrinsics_source, support[name], details
         )
-    return SweepRig(cameras, solution, index, support, {item.name: item.like for item in inputs})
+    like = {item.name: item.like for item in inputs}
+    return SweepRig(cameras, solution, index, support, like, {name: found[name][0] for name in index})
 
 
 def _problem(

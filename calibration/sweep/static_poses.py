@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from devrf.calibration.sweep.devices import PRINCIPAL_POINT_FROM, DeviceGroup
 from devrf.calibration.sweep.gps import UP_STD, align, local_metres, why_not
@@ -35,6 +35,7 @@ MAX_IMAGE_SIZE = 1280  # SIFT on larger pictures costs seconds each and gains li
 MAX_FEATURES = 1600  # per picture; orientation copies come on top; matching time grows with the square
 # Pictures up to this size are doubled first (SIFT octave -1), larger ones need not be.
 FINE_OCTAVE_BELOW = 720
+FEWEST_SIGHTINGS = 2  # of a point, for its place
 MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
 COMPARE_UP_TO = 30  # pictures; the other mapper then takes seconds
 HOMOGRAPHY_SHARE = 0.8  # of verified pairs; in a sweep with depth and sideways motion most have a parallax
@@ -94,6 +95,31 @@ class SweepModel:
     obs_xy: Float[np.ndarray, "observations 2"]
     obs_descriptor: UInt8[np.ndarray, "observations 128"]
     report: dict[str, Any]
+
+    def held_out(self, every: int) -> Bool[np.ndarray, " N"]:
+        """Which pictures are kept out of everything but structure from motion: every n-th one."""
+        return np.arange(len(self.names)) % every == 0
+
+    def without_held_out(self, every: int) -> "SweepModel":
+        """The model without these pictures, what they show, and points that fewer than two others show."""
+        kept = ~self.held_out(every)
+        seen = kept[self.obs_image]
+        points = np.bincount(self.obs_point[seen], minlength=len(self.xyz)) >= FEWEST_SIGHTINGS
+        seen &= points[self.obs_point]
+        image, point = np.cumsum(kept) - 1, np.cumsum(points) - 1
+        pictures = np.flatnonzero(kept).tolist()
+        return replace(
+            self,
+            names=tuple(self.names[n] for n in pictures),
+            cameras=tuple(self.cameras[n] for n in pictures),
+            xyz=self.xyz[points],
+            rgb=self.rgb[points],
+            error_px=self.error_px[points],
+            obs_point=point[self.obs_point[seen]],
+            obs_image=image[self.obs_image[seen]],
+            obs_xy=self.obs_xy[seen],
+            obs_descriptor=self.obs_descriptor[seen],
+        )
 
 
 def recover_static_poses(

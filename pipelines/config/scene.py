@@ -183,7 +183,8 @@ class CaptureConfig(_Section):
     static: PathText | None = None
     """The sweep of the scene at rest: a video, or a folder of images or RAW files."""
     cameras: dict[str, PathText] = {}
-    """Fixed cameras of the moving scene: name -> clip. The first one that is trained on is cam0, whose clock is everyone's."""
+    """Fixed cameras of the moving scene: name -> clip. The first one that is trained on is cam0, whose clock is
+    everyone's."""
     test_cameras: dict[str, PathText] | list[str] = {}
     """Cameras that are never trained on: name -> clip, or a list of names out of `cameras`."""
     timestamps: PathText | None = None

@@ -26,16 +26,25 @@ PHOTO_STOPS = 0.1  # a third of a camera's smallest step
 def light_rows(frames: FrameSet, folder: Path) -> list[HealthRow]:
     """Rows about the clips of the fixed cameras and all photos of an ingest folder."""
     rows: list[HealthRow] = []
-    fixed = [name for name in frames.moving if (folder / "light" / f"{name}.npy").is_file()]
-    found = {name: judge_light(LightCourse.read(folder / "light" / f"{name}.npy")) for name in fixed}
+    found, tests = (
+        {
+            name: judge_light(LightCourse.read(path))
+            for name in cameras
+            if (path := folder / "light" / f"{name}.npy").is_file()
+        }
+        for cameras in (frames.trained, frames.tests)
+    )
     if changes_alike(found):
         rows.append(_scene_row(list(found.values())))
-        found = {name: replace(light, exposure=None) for name, light in found.items()}
+        found, tests = (
+            {name: replace(light, exposure=None) for name, light in some.items()} for some in (found, tests)
+        )
     for name, light in found.items():
-        camera = frames.cameras[name]
-        rows += clip_rows(name, camera.source, light, trains=camera.role != "test")
-    if fixed and not rows:
+        rows += clip_rows(name, frames.cameras[name].source, light, trains=True)
+    if found and not rows:
         rows.append(note("light of the fixed cameras", "steady"))
+    for name, light in tests.items():
+        rows += clip_rows(name, frames.cameras[name].source, light, trains=False)
     for path in sorted((folder / "raw").glob("*.json")):
         sidecar = read_raw_sidecar(path)
         rows += raw_rows(path.stem, sidecar)

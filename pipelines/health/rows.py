@@ -1,7 +1,7 @@
 """Health rows: what a stage measured of its own result, and what to do where it falls short."""
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import wraps
 from typing import Literal, ParamSpec
 
@@ -62,6 +62,21 @@ def row(
 def note(check: str, value: str, *, verdict: Verdict | None = None, remedy: str = "") -> HealthRow:
     """A row that states something in words (which cue gave the clocks); a warning where there is a remedy."""
     return HealthRow(check, value, "", None, None, verdict or ("warn" if remedy else "ok"), remedy)
+
+
+def without_refusal(rows: Iterable[HealthRow]) -> list[HealthRow]:
+    """Rows on a test camera, as warnings at most: nothing but its own numbers depends on it."""
+    return [replace(r, fail=None, verdict="warn" if r.verdict == "fail" else r.verdict) for r in rows]
+
+
+def of_test(name: str, rows: Iterable[HealthRow]) -> list[HealthRow]:
+    """Rows on a test camera, whose titles name it."""
+    return [r if name in r.check else replace(r, check=f"{r.check}, test camera {name}") for r in rows]
+
+
+def left_out_row(name: str, why: str) -> HealthRow:
+    """A test camera that cannot be measured with; everything else is as without it."""
+    return note(f"test camera {name}", "left out", remedy=f"Nothing is measured with {name}: {why}")
 
 
 def listed(told: Callable[Of, Iterator[HealthRow]]) -> Callable[Of, list[HealthRow]]:

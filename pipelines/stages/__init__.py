@@ -135,7 +135,13 @@ STAGES = (
     Stage(
         name="rig",
         reads=("ingest", "static_poses", "sync"),
-        config_keys=(*PRINTED_BOARD, "capture.board.metric", "capture.rest", "calibration.rig"),
+        config_keys=(
+            *PRINTED_BOARD,
+            "capture.board.metric",
+            "capture.rest",
+            "calibration.rig",
+            "evaluate.holdout_every",
+        ),
         applies=_unless(dataset=NO_RAW_FILES, sweep=NO_CAMERAS),
         run=_glue("rig"),
         inputs=_beside_given,
@@ -143,7 +149,7 @@ STAGES = (
     Stage(
         name="colour",
         reads=("ingest", "static_poses", "sync", "rig"),
-        config_keys=("calibration.colour", "capture.rest"),
+        config_keys=("calibration.colour", "capture.rest", "evaluate.holdout_every"),
         applies=_unless(dataset=NO_RAW_FILES),
         run=_glue("colour"),
     ),

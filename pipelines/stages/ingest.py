@@ -15,7 +15,7 @@ from devrf.capture.srgb import linear_from_srgb
 from devrf.pipelines.budget.raw_files import ingested_at_once
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.health.light import light_rows
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, left_out_row, note, row, without_refusal
 from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet
@@ -32,14 +32,14 @@ def run(context: StageContext) -> None:
     context.progress(0.0, "sound")
     sounds = write_sounds(session, context.out)
     ranges = file_ranges(session, sounds, context.config.calibration.sync.method)
-    only_ranges = len(ranges) == len(session.cameras)
+    clocks_known = ranges.keys() >= session.cameras.keys() - set(session.test_names)
     frames = write_frames(
         session,
         sounds,
         context.out,
         context.scene_dir,
         ranges,
-        only_ranges,
+        ranges if clocks_known else (),
         context.progress,
         ingested_at_once(context, session),
     )
@@ -59,6 +59,7 @@ def refuse_damaged(frames: FrameSet) -> None:
         "it again"
         for name, camera in frames.cameras.items()
         if camera.ended_early is not None
+        and camera.role != "test"
         and camera.frames[-1].index + 1 < max(LEAST_LEFT, LEAST_LEFT_SHARE * (camera.announced_frames or 0))
     ]
     if damaged:
@@ -71,7 +72,7 @@ def file_ranges(
     """`capture.range_s` in each camera's own times, as far as that is known before the clocks are.
 
     Cameras whose clocks cannot be had from sound are left out: all their frames are kept, and the scene
-    stage cuts them to the range by their final times.
+    stage cuts them to the range by their final times. Test cameras are heard against the others, one by one.
     """
     if session.range_s is None or not session.cameras:
         return {}
@@ -83,7 +84,12 @@ def file_ranges(
     if method not in ("auto", "audio") or len(heard) < 2 or heard[0] != names[0]:
         return ranges
     spans = {name: (sounds[name].start_s, sounds[name].end_s) for name in heard}
-    for name, clock in synchronise(spans, sounds, {}, "audio").cameras.items():
+    trained = {name: span for name, span in spans.items() if name not in session.test_names}
+    clocks = synchronise(trained, sounds, {}, "audio").cameras
+    for test in (name for name in heard if name not in trained):
+        alone = trained | {test: spans[test]}
+        clocks[test] = synchronise(alone, sounds, {}, "audio", known=clocks).cameras[test]
+    for name, clock in clocks.items():
         if name != names[0] and clock.confidence >= TRUSTED:
             rate = 1 + 1e-6 * clock.drift_ppm
             ranges[name] = (
@@ -98,8 +104,11 @@ def health(frames: FrameSet) -> list[HealthRow]:
     rows: list[HealthRow] = []
     if SWEEP in frames.cameras:
         rows += _sweep(frames.cameras[SWEEP])
-    if frames.moving:
-        rows += _moving(frames.moving)
+    if frames.trained:
+        rows += _moving(frames.trained)
+    for name, camera in frames.tests.items():
+        rows += without_refusal(_filmed({name: camera}))
+    rows += [left_out_row(name, why) for name, why in frames.left_out.items()]
     for name, camera in frames.cameras.items():
         if camera.ended_early is not None:
             remedy = (
@@ -140,11 +149,10 @@ def _sweep(sweep: CameraFrames) -> Iterator[HealthRow]:
         yield note("sizes in the sweep", sizes[0], remedy=remedy)
 
 
-def _moving(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
+def _filmed(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
     fewest = min(cameras, key=lambda name: len(cameras[name].used))
     gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
     worst = max(gaps, key=lambda name: gaps[name])
-    silent = [name for name, c in cameras.items() if not c.has_audio]
     yield row(
         f"frames of a moving camera, fewest ({fewest})",
         float(len(cameras[fewest].used)),
@@ -160,7 +168,12 @@ def _moving(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
         fail_above=0.5,
         remedy=f"{cameras[worst].source}: {lost}. Use a faster card, or a lower resolution or bit rate.",
     )
+
+
+def _moving(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
+    yield from _filmed(cameras)
     yield _exposure(cameras)
+    silent = [name for name, c in cameras.items() if not c.has_audio]
     yield note("sound", f"silent: {', '.join(silent)}" if silent else "in every camera")
     sizes = {(c.width, c.height) for c in cameras.values()}
     if len(sizes) > 1:

@@ -1,5 +1,6 @@
 """Stage `rig`: the fixed cameras in one world with the sweep, their doubts, and the length of a unit."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,23 +15,23 @@ from devrf.calibration.rigs.clean_picture import clean_pictures
 from devrf.calibration.rigs.cross_check import cross_check
 from devrf.calibration.rigs.given import Given
 from devrf.calibration.rigs.graph import Link, camera_graph
-from devrf.calibration.rigs.joint import adjust_together, disagreement
+from devrf.calibration.rigs.joint import adjust_together, disagreement, world_from_rig
 from devrf.calibration.rigs.result import rig_camera
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, write_rig
 from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances, scale_from_gps
 from devrf.calibration.rigs.sweep_route import FixedCameraInput, SweepRig, rig_from_sweep
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
-from devrf.capture.errors import HealthError, InputError
-from devrf.capture.frames import FrameSet
-from devrf.capture.progress import Progress, part
+from devrf.capture.errors import CalibrationError, HealthError, InputError
+from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.progress import Progress, no_progress, part
 from devrf.pipelines.board_clips import BoardClips, files_of
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.budget.at_once import registered_at_once
 from devrf.pipelines.given_calibration import given_calibration
 from devrf.pipelines.health.board import board_rows
 from devrf.pipelines.health.rig import bump_row, graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, left_out_row, note, row, without_refusal
 from devrf.pipelines.joint_clips import JointViews, read_joint_views
 from devrf.pipelines.stage import StageContext
 
@@ -43,6 +44,7 @@ def run(context: StageContext) -> None:
     job = _Job(context)
     route = job.route()
     rig = {"given": job.from_given, "sweep": job.from_sweep, "board": job.from_board}[route]()
+    rig = job.with_test_cameras(rig)
     job.look_for_bumps()
     told = {
         n: c.details | {"board": job.boards[n].as_dict()} for n, c in rig.cameras.items() if n in job.boards
@@ -50,7 +52,8 @@ def run(context: StageContext) -> None:
     cameras = {n: replace(c, details=told.get(n, c.details)) for n, c in rig.cameras.items()}
     write_rig(context.out / "rig.json", replace(rig, cameras=cameras))
     for name, calibration in job.boards.items():
-        context.health.extend(board_rows(name, calibration))
+        rows = board_rows(name, calibration)
+        context.health.extend(rows if name in job.trained else without_refusal(rows))
     unmeasured_board = job.spec is not None and not job.board_is_measured
     context.health.extend([*job.rows, *scale_rows(job.scales, rig.scale, unmeasured_board)])
 
@@ -62,7 +65,7 @@ class _Job:
         self.context = context
         self.ingest = context.run_dir / "ingest"
         self.frames = FrameSet.read(self.ingest)
-        self.moving = self.frames.moving
+        self.trained, self.tests = self.frames.trained, self.frames.tests
         self.spec = board_spec(context.config)
         self.clips = (
             None
@@ -75,11 +78,12 @@ class _Job:
         self.rows: list[HealthRow] = []
         self.scales: list[Scale] = []
         self.boards: dict[str, BoardCalibration] = {}
+        self.swept: SweepRig | None = None
 
     def route(self) -> str:
         """given, sweep or board."""
         method = self.settings.method
-        joint = [name for name in self.moving if name in self.frames.joint]
+        joint = [name for name in self.trained if name in self.frames.joint]
         if method == "auto":
             has_rig = self.given is not None and self.given.rig is not None
             method = "given" if has_rig else "sweep" if self.has_sweep else "board"
@@ -94,7 +98,7 @@ class _Job:
             text = "calibration.rig.method is sweep, but capture.static is missing; film a sweep or use board"
             raise InputError("sweep-missing", text)
         if method == "board":
-            missing = [name for name in self.moving if name not in joint]
+            missing = [name for name in self.trained if name not in joint]
             if self.spec is None or len(joint) < MIN_CAMERAS or missing:
                 raise InputError(
                     "rig-without-source",
@@ -118,7 +122,7 @@ class _Job:
     @cached_property
     def given(self) -> Given | None:
         """What `calibration.rig.given` names, at the sizes of the clips."""
-        sizes = {name: (c.width, c.height) for name, c in self.moving.items()}
+        sizes = {name: (c.width, c.height) for name, c in self.frames.moving.items()}
         found = given_calibration(self.context.config, self.context.scene_dir, sizes)
         for n in () if found is None else found.notes:
             self.rows.append(note(n.check, n.text, remedy=n.remedy))
@@ -126,11 +130,10 @@ class _Job:
 
     def from_sweep(self) -> Rig:
         """Route A: one clean picture of each camera into the sweep's model; with joint clips one adjustment of both."""
-        context = self.context
-        model = read_static_poses(self.sweep_folder)
+        context, model = self.context, self.model
         given = {} if self.given is None else self.given.intrinsics
-        known = self._clip_calibrations(part(context.progress, 0.0, 0.3)) | given
-        swept = self._register(model, known, part(context.progress, 0.3, 0.6))
+        known = self._clip_calibrations(self.trained, part(context.progress, 0.0, 0.3)) | given
+        swept = self._register(model, self.trained, known, part(context.progress, 0.3, 0.6))
         cameras = {
             n: replace(c, intrinsics_source="given") if n in given else c for n, c in swept.cameras.items()
         }
@@ -144,6 +147,7 @@ class _Job:
             together = self._together(swept, cameras, joint, part(context.progress, 0.7, 0.3))
             if together is not None:
                 cameras, graph = together
+        self.swept = replace(swept, cameras=cameras)
         if not self.scales and (gps := scale_from_gps(model)) is not None:
             self.scales = [gps]  # metres off: worth something only where nothing else is
         scale = combined(self.scales) if self.scales else ARBITRARY
@@ -151,15 +155,15 @@ class _Job:
 
     def from_board(self) -> Rig:
         """Route B: the board before several cameras at once; metres, in the first camera's frame."""
-        seen, found = self._board_rig(list(self.moving), self.context.progress)
+        seen, found = self._board_rig(list(self.trained), self.context.progress)
+        self.rows += self._joint_rows(seen, found)
         problem = found.solution.problem
         index = {name: c for c, name in enumerate(found.views.names)}
         cameras = {}
         for name, c in index.items():
             support = np.flatnonzero(problem.obs_camera == c)
-            source = "given" if self.given is not None and name in self.given.intrinsics else "board"
             cameras[name] = rig_camera(
-                found.solution, c, seen.start[name], source, support, _clock(found, name)
+                found.solution, c, seen.start[name], self._lens_source(name), support, _clock(found, name)
             )
         if self.board_is_measured:
             self.scales = [Scale(True, "board seen by several cameras at once", 1.0, None)]
@@ -167,6 +171,53 @@ class _Job:
         rig = Rig(cameras, scale, "board", camera_graph(problem, index))
         self.rows += graph_rows(rig.graph, rig)
         return rig
+
+    def with_test_cameras(self, rig: Rig) -> Rig:
+        """The rig with its test cameras, each placed by itself against what stands; those that cannot be are named."""
+        placed, left_out = dict(rig.cameras), {}
+        for name in self.tests:
+            try:
+                placed[name] = rig.cameras.get(name) or self._test_camera(name, rig)
+            except (HealthError, InputError, CalibrationError) as error:
+                left_out[name] = str(error)
+                self.rows.append(left_out_row(name, str(error)))
+        return replace(rig, cameras=placed, left_out=left_out)
+
+    def _test_camera(self, name: str, rig: Rig) -> RigCamera:
+        """A test camera in the sweep's world, or where there is no sweep in the board's."""
+        alone = {name: self.tests[name]}
+        if self.swept is None:
+            return self._test_camera_by_board(name, rig)
+        given = {} if self.given is None else self.given.intrinsics
+        known = self._clip_calibrations(alone, no_progress) | given
+        found = self._register(self.model, alone, known, self.context.progress, self.swept).cameras[name]
+        found = replace(found, intrinsics_source="given") if name in given else found
+        self.rows += without_refusal(sweep_rows(name, found))
+        return _scaled(found, rig.scale.factor)
+
+    def _test_camera_by_board(self, name: str, rig: Rig) -> RigCamera:
+        """By the board that it sees at once with the others, which stay where they are."""
+        if name not in self.frames.joint:
+            text = f"camera '{name}' has no clip of the board that others see at once (capture.board.joint_clips)"
+            raise CalibrationError("rig-without-source", text)
+        seen, found = self._board_rig([*self.trained, name], self.context.progress)
+        c = found.views.names.index(name)
+        support = np.flatnonzero(found.solution.problem.obs_camera == c)
+        camera = rig_camera(
+            found.solution, c, seen.start[name], self._lens_source(name), support, _clock(found, name)
+        )
+        into = world_from_rig({n: rig.cameras[n].camera for n in self.trained}, found.cameras)
+        return replace(camera, camera=camera.camera.moved(into))
+
+    def _lens_source(self, name: str) -> str:
+        return "given" if self.given is not None and name in self.given.intrinsics else "board"
+
+    @cached_property
+    def model(self) -> SweepModel:
+        """The sweep, without what is held out of it."""
+        return read_static_poses(self.sweep_folder).without_held_out(
+            self.context.config.evaluate.holdout_every
+        )
 
     def _together(
         self, swept: SweepRig, cameras: dict[str, RigCamera], names: list[str], progress: Progress
@@ -178,6 +229,7 @@ class _Job:
             remedy = "Hold the board where several cameras see it; the sweep alone was used."
             self.rows.append(note("rig from the board", str(error), remedy=remedy))
             return None
+        self.rows += self._joint_rows(seen, board)
         ours = {n: c.camera for n, c in cameras.items()}
         joint = adjust_together(swept.solution, swept.index, ours, board)
         unit = joint.problem.unit
@@ -209,44 +261,53 @@ class _Job:
 
     def look_for_bumps(self) -> None:
         """Whether the fixed cameras stayed where they were over their clips."""
-        for name, camera in self.moving.items():
+        for name, camera in self.frames.moving.items():
             seen = [(f.file, f.time_s) for f in camera.used if f.file is not None and f.time_s is not None]
             files = [self.ingest / file for file, _ in seen]
             self.rows.append(bump_row(name, find_bump(files, [t for _, t in seen])))
 
-    def _register(self, model: SweepModel, known: dict[str, Intrinsics], progress: Progress) -> SweepRig:
+    def _register(
+        self,
+        model: SweepModel,
+        cameras: Mapping[str, CameraFrames],
+        known: dict[str, Intrinsics],
+        progress: Progress,
+        standing: SweepRig | None = None,
+    ) -> SweepRig:
         clean = self.context.out / "clean"
-        clean.mkdir()
+        clean.mkdir(exist_ok=True)
         rest = self.context.config.capture.rest if self.context.config.capture else "none"
         inputs = []
-        for name, camera in self.moving.items():
+        for name, camera in cameras.items():
             pictures = clean_pictures(name, files_of(self.context.run_dir, camera), rest, clean)
             inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, known.get(name)))
-        at_once = registered_at_once(self.context, list(self.moving.values()), len(model.names))
-        found = rig_from_sweep(model, inputs, self.context.out, progress, at_once)
+        at_once = registered_at_once(self.context, list(cameras.values()), len(model.names))
+        found = rig_from_sweep(model, inputs, self.context.out, progress, at_once, standing)
         used = {c.details["picture"] for c in found.cameras.values()}
-        for picture in clean.iterdir():
+        for picture in (path for item in inputs for path in item.pictures):
             if picture.stem not in used:
                 picture.unlink()
         return found
 
-    def _clip_calibrations(self, progress: Progress) -> dict[str, Intrinsics]:
+    def _clip_calibrations(
+        self, cameras: Mapping[str, CameraFrames], progress: Progress
+    ) -> dict[str, Intrinsics]:
         """Intrinsics from each camera's own board clip, else from its joint clip where that shows enough."""
         if self.clips is None:
             return {}
-        for n, name in enumerate(self.moving):
+        for n, name in enumerate(cameras):
             own, joint = self.clips.own(name), self.frames.joint.get(name)
             entry = own or joint
             if entry is None:
                 continue
-            step = part(progress, n / len(self.moving), 1 / len(self.moving))
+            step = part(progress, n / len(cameras), 1 / len(cameras))
             clip = self.clips.search(name, entry, progress=step, required=own is not None)
             if own is not None or len(clip.views) >= MIN_VIEWS:
                 self.boards[name] = clip.calibration
-        return {name: board.intrinsics for name, board in self.boards.items()}
+        return {name: board.intrinsics for name, board in self.boards.items() if name in cameras}
 
     def _board_rig(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
-        """Cameras from the joint clips, with clocks applied, and what they measure on views kept out of a fit."""
+        """Cameras from the joint clips, with clocks applied."""
         assert self.clips is not None
         known = {} if self.given is None else dict(self.given.intrinsics)
         for name in names:
@@ -256,12 +317,14 @@ class _Job:
                 known[name] = self.boards[name].intrinsics
         seen = read_joint_views(self.clips, names, known, part(progress, 0.0, 0.7))
         self.boards = seen.own | self.boards
-        found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, part(progress, 0.7, 0.2))
-        progress(0.9, "held-out lengths")
+        return seen, rig_from_board(seen.views, seen.spec, seen.start, seen.known, part(progress, 0.7, 0.2))
+
+    def _joint_rows(self, seen: JointViews, found: BoardRig) -> list[HealthRow]:
+        """How good a rig by the board is, and what it measures on views kept out of a fit."""
+        self.context.progress(0.9, "held-out lengths")
         measured = self.board_is_measured  # without a measured square there are no millimetres to check
         check = cross_check(seen.views, seen.spec, seen.start, seen.known) if measured else None
-        self.rows += joint_rows(found, check)
-        return seen, found
+        return joint_rows(found, check)
 
     def _scales(self, model: SweepModel, centres: dict[str, np.ndarray]) -> list[Scale]:
         """Metres from the board in the sweep and from a known distance."""
@@ -293,9 +356,8 @@ class _Job:
 
     def _given_into_sweep(self, rig: Rig) -> Rig:
         """A given rig moved into the sweep's world by registering its cameras there; metres stay metres."""
-        model = read_static_poses(self.sweep_folder)
         assert self.given is not None
-        found = self._register(model, self.given.intrinsics, self.context.progress).cameras
+        found = self._register(self.model, self.trained, self.given.intrinsics, self.context.progress).cameras
         if len(found) < 3:
             raise InputError(
                 "rig-given-untied",

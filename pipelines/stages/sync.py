@@ -3,24 +3,25 @@
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.clocks.evidence import Curve, Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
+from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
-from devrf.capture.progress import Progress
 from devrf.capture.recorded import Recorded
 from devrf.capture.rest import Rest
 from devrf.pipelines.clocks import clock_dict, curve_dict
 from devrf.pipelines.health.clock import BY_GEOMETRY, UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.pipelines.health.rows import HealthRow, left_out_row, note, of_test, row, without_refusal
 from devrf.pipelines.stage import StageContext
 
 MIN_SHARED_FRAMES = 2
@@ -35,22 +36,32 @@ def run(context: StageContext) -> None:
     folder = context.run_dir / "ingest"
     frames = FrameSet.read(folder)
     capture = context.config.capture
-    rest = capture.rest if capture else "none"
-    result = _solve(frames.moving, frames, context, context.progress, rest)
+    rest: Rest = capture.rest if capture else "none"
+    job = _Job(context, frames, rest)
+    result = job.solve(frames.trained)
     content: dict[str, Any] = as_dict(result)
-    content["shared_s"] = list(shared_span(frames.moving, result))
+    content["shared_s"] = list(shared_span(frames.trained, result))
+    context.health.extend(health(frames.trained, result))
+    curves = _evidence(result)
+    curves["tests"], content["tests"] = {}, {}
+    for name, camera in frames.tests.items():  # each against those that stand
+        alone = frames.trained | {name: camera}
+        placed = job.place(name, alone, result)
+        content["cameras"][name] = clock_dict(placed.cameras[name])
+        content["tests"][name] = {"loop_s": placed.loop_s, "notes": list(placed.notes)}
+        curves["tests"][name] = _evidence(placed)
+        context.health.extend(test_health(name, alone, placed, result))
     joint = {n: c for n, c in frames.cameras.items() if c.role == "joint"}
-    if len(joint) > 1:  # clips of their own, on a clock of their own: that of the first one
-        content["joint"] = as_dict(_solve(joint, frames, context, context.progress))
+    tests = {frames.joint[n] for n in frames.tests if n in frames.joint} & joint.keys()
+    trained = {n: c for n, c in joint.items() if n not in tests}
+    if len(trained) > 1:  # clips of their own, on a clock of their own: that of the first one
+        together = job.solve(trained, "none")
+        content["joint"] = as_dict(together)
+        for name in sorted(tests):
+            placed = job.place(name, trained | {name: joint[name]}, together, "none")
+            content["joint"]["cameras"][name] = clock_dict(placed.cameras[name])
     (context.out / "sync.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    curves = {
-        "curves": [_curve_dict(curve) for curve in result.curves],
-        "loops": [asdict(loop) for loop in result.loops],
-        "comparisons": [asdict(c) | {"contradicts": c.contradicts} for c in result.comparisons],
-        "jumps": [asdict(jump) for jump in result.jumps],
-    }
     (context.out / "curves.json").write_text(json.dumps(curves, allow_nan=False) + "\n")
-    context.health.extend(health(frames.moving, result))
 
 
 def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
@@ -58,33 +69,53 @@ def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
     return {n: Recorded(c.created_s, c.timecode_s, c.timecode_fps) for n, c in cameras.items()}
 
 
-def _solve(
-    cameras: dict[str, CameraFrames],
-    frames: FrameSet,
-    context: StageContext,
-    progress: Progress,
-    rest: Rest = "none",
-) -> SyncResult:
-    folder, config = context.run_dir / "ingest", context.config.calibration.sync
-    times = {name: used_times(camera) for name, camera in cameras.items()}
-    spans = {name: (float(t[0]), float(t[-1])) for name, t in times.items()}
-    brightness = read_brightness(folder, frames)
-    extras = Extras(
-        {n: Brightness(b[:, 0], b[:, 1:]) for n, b in brightness.items() if n in cameras and len(b) > 1},
-        recorded(cameras),
-        config.av_lag_s,
-        config.readout_s,
-        rest,
-    )
-    return synchronise(
-        spans,
-        {n: s for n, s in read_sounds(folder, frames).items() if n in cameras},
-        {n: m for n, m in read_motion(folder, frames).items() if n in cameras},
-        config.method,
-        frames.true_times and all(c.role != "joint" for c in cameras.values()),
-        progress,
-        extras,
-    )
+class _Job:
+    """What cameras heard and saw, as ingest left it, and how clocks are found from it."""
+
+    def __init__(self, context: StageContext, frames: FrameSet, rest: Rest) -> None:
+        folder = context.run_dir / "ingest"
+        self.context, self.frames, self.rest = context, frames, rest
+        self.config = context.config.calibration.sync
+        self.brightness = {
+            n: Brightness(b[:, 0], b[:, 1:]) for n, b in read_brightness(folder, frames).items() if len(b) > 1
+        }
+        self.sounds, self.motion = read_sounds(folder, frames), read_motion(folder, frames)
+
+    def solve(
+        self,
+        cameras: dict[str, CameraFrames],
+        rest: Rest | None = None,
+        known: Mapping[str, Clock] | None = None,
+    ) -> SyncResult:
+        """The clocks of these cameras; those that are `known` stand."""
+        times = {name: used_times(camera) for name, camera in cameras.items()}
+        extras = Extras(
+            {n: b for n, b in self.brightness.items() if n in cameras},
+            recorded(cameras),
+            self.config.av_lag_s,
+            self.config.readout_s,
+            rest or self.rest,
+        )
+        return synchronise(
+            {name: (float(t[0]), float(t[-1])) for name, t in times.items()},
+            {n: s for n, s in self.sounds.items() if n in cameras},
+            {n: m for n, m in self.motion.items() if n in cameras},
+            self.config.method,
+            self.frames.true_times and all(c.role != "joint" for c in cameras.values()),
+            self.context.progress,
+            extras,
+            known,
+        )
+
+    def place(
+        self, name: str, cameras: dict[str, CameraFrames], others: SyncResult, rest: Rest | None = None
+    ) -> SyncResult:
+        """A test camera on the clock of others, which stand; where the cue that is asked for has none, a guess."""
+        try:
+            return self.solve(cameras, rest, others.cameras)
+        except CalibrationError as error:
+            clock = Clock(0.0, 0.0, math.inf, "none", 0.0, str(error))
+            return SyncResult(others.cameras | {name: clock}, notes=(str(error),))
 
 
 def used_times(camera: CameraFrames) -> Float[np.ndarray, " n"]:
@@ -108,6 +139,16 @@ def as_dict(result: SyncResult) -> dict[str, Any]:
     }
 
 
+def _evidence(result: SyncResult) -> dict[str, Any]:
+    """What clocks were read from, as it is written to `curves.json`."""
+    return {
+        "curves": [_curve_dict(curve) for curve in result.curves],
+        "loops": [asdict(loop) for loop in result.loops],
+        "comparisons": [asdict(c) | {"contradicts": c.contradicts} for c in result.comparisons],
+        "jumps": [asdict(jump) for jump in result.jumps],
+    }
+
+
 def _curve_dict(curve: Curve) -> dict[str, Any]:
     return {
         "first": curve.first,
@@ -127,8 +168,25 @@ def health(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthR
     return rows
 
 
+def test_health(
+    name: str, cameras: dict[str, CameraFrames], placed: SyncResult, others: SyncResult
+) -> list[HealthRow]:
+    """Rows about the clock of a test camera, which refuse nothing; `others`: the clocks that stand."""
+    alone = replace(placed, cameras={n: c for n, c in placed.cameras.items() if n not in others.cameras})
+    times = alone.cameras[name].true_time(used_times(cameras[name]))
+    rows = [*_clocks(cameras, alone), *_cues(placed)]
+    modelled = _modelled(cameras, {n: placed.cameras[n].true_time(used_times(c)) for n, c in cameras.items()})
+    if modelled is not None and not ((times >= modelled[0]) & (times <= modelled[1])).any():
+        why = (
+            f"it films from {times[0]:.2f} to {times[-1]:.2f} s, and what is modelled lasts from {modelled[0]:.2f} to "
+            f"{modelled[1]:.2f} s"
+        )
+        rows.append(left_out_row(name, why))
+    return without_refusal(of_test(name, rows))
+
+
 def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[HealthRow]:
-    others = dict(list(result.cameras.items())[1:])
+    others = {name: clock for name, clock in result.cameras.items() if name != next(iter(cameras))}
     if not others:
         return
     cues = sorted({clock.method for clock in others.values()})
