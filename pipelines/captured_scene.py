@@ -25,7 +25,7 @@ from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import clock_dict, read_sync
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
-from devrf.pipelines.health.rows import HealthRow, note, of_test, without_refusal
+from devrf.pipelines.health.rows import HealthRow, left_out_row, note, of_test, without_refusal
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
@@ -59,7 +59,7 @@ def scene_from_capture(
     static = () if whole is None else _sweep_frames(whole, ingest, factor, every)
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
-    context.health.extend(left_out(list(frames.moving), dynamic))
+    context.health.extend(left_out(frames.trained, frames.tests, dynamic))
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
     points = None if whole is None else _points(whole, factor, every)
@@ -77,8 +77,13 @@ def scene_from_capture(
         masks = list(moves.values())
     else:
         assert config.capture.mattes is not None
-        context.health.extend(matte_health(mattes, config.capture.mattes.method))
-        static, dynamic, masks = mattes.static, mattes.dynamic, mattes.hull_masks
+        static, dynamic, method = mattes.static, mattes.dynamic, config.capture.mattes.method
+        for name in frames.tests.keys() & mattes.cameras.keys():
+            rows = matte_health(mattes.only([name]), method)
+            context.health.extend(without_refusal(of_test(name, rows)))
+        mattes = mattes.only([SWEEP, *frames.trained])
+        context.health.extend(matte_health(mattes, method))
+        masks = mattes.hull_masks
         if points is not None and mattes.everywhere:
             small = [fact.small for fact in mattes.cameras[SWEEP].facts]
             points = points_of_subject(points, mattes.small[SWEEP], small)
@@ -97,7 +102,7 @@ def scene_from_capture(
         lambda: stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
         across(training(static + dynamic)),
     )
-    context.health.extend(box_health(bounds, moves, mattes, dynamic, static))
+    context.health.extend(box_health(bounds, moves, mattes, dynamic, training(static)))
     rest = None
     if dynamic:
         of_camera = {n: [f for f in dynamic if f.camera_name == n] for n in moves}
@@ -215,7 +220,9 @@ def _moving_frames(
             for f in camera.used
             if f.file is not None and f.time_s is not None
         ]
-        if not times[name]:
+        if not times[name] and name in frames.tests:
+            del times[name]  # nothing of it is measured
+        elif not times[name]:
             text = f"camera '{name}' has no frames; check its clip and capture.range_s"
             raise CaptureError("camera-without-frames", text)
     filmed = {name: (rows[0][2], rows[-1][2]) for name, rows in times.items()}
@@ -250,16 +257,24 @@ def without_single_pictures(dynamic: Sequence[PosedFrame]) -> tuple[PosedFrame, 
     return tuple(frame for frame in dynamic if frame.camera_name not in single)
 
 
-def left_out(cameras: Sequence[str], dynamic: Sequence[PosedFrame]) -> list[HealthRow]:
-    """A row on cameras none of whose pictures is used, if there are any."""
-    names = ", ".join(name for name in cameras if all(frame.camera_name != name for frame in dynamic))
+def left_out(
+    trained: Collection[str], tests: Collection[str], dynamic: Sequence[PosedFrame]
+) -> list[HealthRow]:
+    """Rows on cameras none of whose pictures is used, if there are any: one on those that are to be trained on."""
+    used = {frame.camera_name for frame in dynamic}
+    rows = [
+        left_out_row(name, "it takes no picture while two training cameras film")
+        for name in tests
+        if name not in used
+    ]
+    names = ", ".join(name for name in trained if name not in used)
     if not names:
-        return []
+        return rows
     remedy = (
         f"Nothing of {names} is used: while two training cameras film it takes no picture, or a single one. "
         "Start all clips before the action and stop them after it, or check capture.range_s and the clocks."
     )
-    return [note("cameras of which nothing is used", names, remedy=remedy)]
+    return [note("cameras of which nothing is used", names, remedy=remedy), *rows]
 
 
 def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:

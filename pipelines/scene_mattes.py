@@ -1,7 +1,7 @@
 """Mattes of a capture's pictures, by the method that scene.yaml names, and what follows from them for the scene."""
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from devrf.calibration.motion_masks import MASK_SIDE_PX, MotionMask
 from devrf.capture.camera import Camera
+from devrf.capture.errors import DevrfError
 from devrf.capture.frames import FrameSet
 from devrf.capture.mattes.chroma import parse_colour
 from devrf.capture.mattes.command import MatteCommand
@@ -26,6 +27,7 @@ from devrf.capture.progress import Progress
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.capture_session import raw_file
 from devrf.pipelines.config.scene import MattesConfig
+from devrf.pipelines.health.rows import left_out_row
 from devrf.pipelines.stage import StageContext
 
 KEPT = ".mattes"  # in the run folder: what a program has made
@@ -49,6 +51,13 @@ class SceneMattes:
     cameras: Mapping[str, CameraMattes]
     small: Mapping[str, list[Camera]]
     everywhere: bool
+
+    def only(self, names: Collection[str]) -> "SceneMattes":
+        """Those of some cameras."""
+        cameras, small = (
+            {name: of[name] for name in of if name in names} for of in (self.cameras, self.small)
+        )
+        return replace(self, cameras=cameras, small=small)
 
     @property
     def hull_masks(self) -> list[MotionMask]:
@@ -87,7 +96,13 @@ def scene_mattes(
         def part(share: float, text: str, n: int = n) -> None:
             progress((n + share) / len(names), text)
 
-        made[name] = make(clip, part)
+        try:
+            made[name] = make(clip, part)
+        except DevrfError as error:
+            if name not in frames.tests:
+                raise
+            context.health.append(left_out_row(name, str(error)))
+            dynamic = tuple(frame for frame in dynamic if frame.camera_name != name)
     matte_of = {
         picture: matte
         for name, mattes in made.items()
@@ -101,7 +116,8 @@ def scene_mattes(
     for frame in (*static, *dynamic):
         if frame.camera_name in small:
             small[frame.camera_name].append(_small(frame.camera))
-    everywhere = bool(static) and len(names) == len(clips) and capture.mattes.method != "background"
+    trained = clips.keys() - frames.tests.keys()
+    everywhere = bool(static) and trained <= set(names) and capture.mattes.method != "background"
     return SceneMattes(matted(static), matted(dynamic), made, small, everywhere)
 
 

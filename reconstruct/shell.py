@@ -18,6 +18,7 @@ from devrf.reconstruct.grids import grown, upsample, vertices
 from devrf.reconstruct.kernels.background import Surroundings, background
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.occupancy import distance
+from devrf.reconstruct.pictures import training
 
 REACH = 6.0  # the least: a room around its subject
 FARTHEST_REACH = 24.0  # beyond, depth gets too coarse near the box; and parallax is small
@@ -32,7 +33,7 @@ ALPHA_THRESHOLD_INSIDE = 1e-3  # while nothing is known, everything is
 
 
 def reach_of(scene: Scene) -> float:
-    """How far the surroundings are modelled, in half sizes of the box: to the cameras and to the farthest points.
+    """How far the surroundings are modelled, in half sizes of the box: to training cameras and the farthest points.
 
     Args:
         scene: In the box frame.
@@ -44,7 +45,7 @@ def reach_of(scene: Scene) -> float:
 
     if scene.points is None or not len(scene.points.xyz):
         return FARTHEST_REACH  # nobody knows where walls are: what is far hardly moves against what is near
-    cameras = away(np.array([frame.camera.centre for frame in scene.frames]))
+    cameras = away(np.array([frame.camera.centre for frame in training(scene.frames)]))
     farthest = max(float(cameras.max()), float(np.percentile(away(scene.points.xyz), REACH_PERCENTILE)))
     return min(max(REACH, REACH_MARGIN * farthest), FARTHEST_REACH)
 

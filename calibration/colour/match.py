@@ -6,7 +6,7 @@ is measured, before and after.
 """
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -50,6 +50,14 @@ class Matched:
     brightness: dict[str, tuple[float, float]]
     apart: dict[str, Apart]
     total: Apart
+
+    def only(self, name: str) -> "Matched":
+        """What is said of one camera."""
+        corrections, fitted, brightness, apart = (
+            {name: of[name]} if name in of else {}
+            for of in (self.corrections, self.fitted, self.brightness, self.apart)
+        )
+        return replace(self, corrections=corrections, fitted=fitted, brightness=brightness, apart=apart)
 
 
 def match_cameras(pairs: Sequence[Pairs], reference: str, measured: Collection[str] = ()) -> Matched:

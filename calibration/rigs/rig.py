@@ -99,11 +99,9 @@ def write_rig(path: Path, rig: Rig) -> None:
         }
     s = rig.scale
     scale = {"metric": s.metric, "source": s.source, "factor": s.factor, "std": s.std}
-    content = {"route": rig.route, "cameras": cameras, "scale": scale}
+    content = {"route": rig.route, "cameras": cameras, "scale": scale, "left_out": rig.left_out}
     if rig.graph:
         content["graph"] = [asdict(link) for link in rig.graph]
-    if rig.left_out:
-        content["left_out"] = rig.left_out
     path.write_text(json.dumps(content, indent=1))
 
 

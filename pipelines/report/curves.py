@@ -25,8 +25,8 @@ def training(run: RunFolder) -> dict[str, Any]:
 
 def clocks(run: RunFolder) -> dict[str, Any]:
     """How well pairs of clips match against the delay between them, and how well geometry does."""
-    heard = sorted(run.objects("sync/curves.json", "curves"), key=lambda c: not c.get("accepted"))
-    pairs = run.objects("scene/clock_check.json", "pairs")[:MAX_CURVES]
+    heard = sorted(_with_tests(run, "sync/curves.json", "curves"), key=lambda c: not c.get("accepted"))
+    pairs = _with_tests(run, "scene/clock_check.json", "pairs")[:MAX_CURVES]
     label = {"tracks": "epipolar error, px"}
     return {
         "correlation": _drawn(
@@ -46,6 +46,12 @@ def clocks(run: RunFolder) -> dict[str, Any]:
             for c in pairs
         ),
     }
+
+
+def _with_tests(run: RunFolder, file: str, key: str) -> list[dict[str, Any]]:
+    """What two cameras say of each other, of those that are trained on and of each test camera with these."""
+    tests = [run.objects(file, "tests", name, key) for name in run.object(file, "tests")]
+    return [pair for of in (run.objects(file, key), *tests) for pair in of]
 
 
 def speed(run: RunFolder) -> dict[str, Any] | None:

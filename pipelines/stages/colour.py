@@ -1,6 +1,6 @@
 """Stage `colour`: every camera brought to the look of the sweep's, or of the first camera where there is no sweep."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -47,41 +47,50 @@ class _Job:
         self.settings = context.config.calibration.colour
         self.ingest = context.run_dir / "ingest"
         self.frames = FrameSet.read(self.ingest)
-        self.moving = self.frames.moving
-        self.test_cameras = {name for name, camera in self.moving.items() if camera.role == "test"}
         rig = context.run_dir / "rig" / "rig.json"
-        self.rig = read_rig(rig) if self.moving else Rig({}, ARBITRARY)
+        self.rig = read_rig(rig) if self.frames.moving else Rig({}, ARBITRARY)
+        self.trained = list(self.frames.trained)
+        self.test_cameras = {name for name in self.frames.tests if name in self.rig.cameras}
         poses = context.run_dir / "static_poses"
         in_sweep = (poses / "static_poses.json").is_file() and self.rig.route != "board"
-        self.model = read_static_poses(poses) if in_sweep else None
-        trained = [name for name in self.moving if name not in self.test_cameras]
-        self.reference = SWEEP if self.model is not None else trained[0]
+        every = context.config.evaluate.holdout_every
+        self.model = read_static_poses(poses).without_held_out(every) if in_sweep else None
+        self.reference = SWEEP if self.model is not None else self.trained[0]
         self.base = self._before_matching()
 
     def colours(self) -> Colours:
-        """All cameras with what corrects them."""
+        """All cameras with what corrects them: those that are trained on together, test cameras against these."""
         if self.settings.method == "none":
             return self.base
         charts = [] if self.settings.method == "points" else self._chart_pairs()
         by_chart = {pair.second for pair in charts}
-        cameras = _with_match(self.base.cameras, match_cameras(charts, self.reference), "chart")
+        of_trained = [pair for pair in charts if pair.second not in self.test_cameras]
+        cameras = _with_match(self.base.cameras, match_cameras(of_trained, self.reference), "chart")
+        for name in sorted(self.test_cameras & by_chart):
+            own = [pair for pair in charts if pair.second == name]
+            cameras = _with_match(cameras, match_cameras(own, self.reference), "chart")
         total = Apart(0, None, None)
         if self.settings.method != "chart":
-            # of test pictures nothing is fitted; what a chart says of a camera is surer than points
-            matched = match_cameras(self._surface_pairs(), self.reference, self.test_cameras | by_chart)
+            # what a chart says of a camera is surer than points
+            pairs = self._surface_pairs(self.trained)
+            matched = match_cameras(pairs, self.reference, by_chart - self.test_cameras)
             cameras, total = _with_match(cameras, matched, "points"), matched.total
+            for name in sorted(self.test_cameras):  # of test pictures nothing is fitted
+                of_test = [*pairs, *self._pairs_of_test(name)]
+                measured = match_cameras(of_test, self.reference, by_chart - self.test_cameras | {name})
+                cameras = _with_match(cameras, measured.only(name), "points")
         return replace(self.base, reference=self.reference, cameras=cameras, total=total)
 
     def _before_matching(self) -> Colours:
         """Fall-off and unsteady light, as ingest measured them."""
         out, cameras = self.context.out, {}
-        for name in [*([SWEEP] if SWEEP in self.frames.cameras else []), *self.moving]:
+        for name in [*([SWEEP] if SWEEP in self.frames.cameras else []), *self.frames.moving]:
             camera = CameraColour("reference" if name == self.reference else "none")
             white, light = self.ingest / "white" / f"{name}.npy", self.ingest / "light" / f"{name}.npy"
             if white.is_file():
                 np.save(out / f"flat_{name}.npy", flat_field(read_npy(white), f"white sheet of {name}"))
                 camera = replace(camera, flat=f"flat_{name}.npy")
-            if light.is_file() and name not in self.test_cameras:
+            if light.is_file() and name not in self.frames.tests:
                 course = LightCourse.read(light)
                 gains = steady_gains(course)
                 if gains is not None:
@@ -103,25 +112,30 @@ class _Job:
         own = charts.pop(self.reference, None)  # missing only where there are no charts at all
         return [] if own is None else [chart_pairs(self.reference, own, n, c) for n, c in charts.items()]
 
-    def _surface_pairs(self) -> list[Pairs]:
-        """Surface points that two cameras see."""
+    def _pairs_of_test(self, name: str) -> list[Pairs]:
+        """Surface points that a test camera and others see."""
+        pairs = self._surface_pairs([name] if self.model is not None else [*self.trained, name])
+        return [pair for pair in pairs if name in (pair.first, pair.second)]
+
+    def _surface_pairs(self, names: Sequence[str]) -> list[Pairs]:
+        """Surface points that two cameras see, of these and the sweep's."""
         if self.model is None:
-            return camera_pairs(self._moments())
+            return camera_pairs(self._moments(names))
         model, pairs = self.model, []
         sweep = self.base.before_matching(SWEEP, None)
 
         def read(name: str) -> UInt8[np.ndarray, "_ _ 3"]:
             return sweep.apply(read_pixels(self.ingest / "frames" / name)[..., :3])
 
-        for n, name in enumerate(self.moving):
-            self.context.progress(0.2 + 0.8 * n / len(self.moving), f"points of {name}")
+        for n, name in enumerate(names):
+            self.context.progress(0.2 + 0.8 * n / len(names), f"points of {name}")
             view = View(self.rig.cameras[name].camera, self._clean(name))
             pairs.append(sweep_pairs(name, view, model, self.rig.scale.factor, read))
         return pairs
 
     def _clean(self, name: str) -> UInt8[np.ndarray, "_ _ 3"]:
         """The picture that was registered into the sweep, in steady light."""
-        folder, used = self.context.run_dir / "rig" / "clean", self.moving[name].used
+        folder, used = self.context.run_dir / "rig" / "clean", self.frames.moving[name].used
         path = folder / f"{name}_clip.png"
         frame = None  # a median of the whole clip has the clip's usual light
         for moment in REST_MOMENTS:
@@ -131,12 +145,12 @@ class _Job:
                 path, frame = at_rest, used[frames[len(frames) // 2]].index
         return self.base.before_matching(name, frame).apply(read_pixels(path)[..., :3])
 
-    def _moments(self) -> Iterator[dict[str, View]]:
-        """Pictures of all cameras at a few moments that all of them saw."""
+    def _moments(self, names: Sequence[str]) -> Iterator[dict[str, View]]:
+        """Pictures of these cameras at a few moments that all of them saw."""
         clocks = read_sync(self.context.run_dir)
         shown = {
-            n: [f for f in c.used if f.file is not None and f.time_s is not None]
-            for n, c in self.moving.items()
+            n: [f for f in self.frames.moving[n].used if f.file is not None and f.time_s is not None]
+            for n in names
         }
         times = {
             name: clocks[name].true_time(np.array([f.time_s for f in of])) for name, of in shown.items() if of

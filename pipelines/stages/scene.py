@@ -13,6 +13,7 @@ from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.configured_dataset import configured_dataset
 from devrf.pipelines.health.rows import HealthRow, listed, note, row
 from devrf.pipelines.stage import StageContext
+from devrf.reconstruct.pictures import training
 
 if TYPE_CHECKING:
     from devrf.calibration.bounds import Bounds
@@ -38,12 +39,13 @@ def run(context: StageContext) -> None:
 
         scene, bounds = scene_from_capture(context, lambda frames: widths_of_box(config, frames))
         context.health.extend(health(bounds, scene))
-    scene = replace(scene, image_scale=auto_image_scale(config, scene.frames))
+    trained = training(scene.frames) or scene.frames
+    scene = replace(scene, image_scale=auto_image_scale(config, trained))
+    in_motion = [frame for frame in scene.dynamic if frame.split == "train"]
     context.health.append(
         note(
             "pictures",
-            f"{len(scene.static)} of the sweep, {len(scene.dynamic)} in motion, "
-            f"scale {scene.image_scale:.3g}",
+            f"{len(scene.static)} of the sweep, {len(in_motion)} in motion, scale {scene.image_scale:.3g}",
         )
     )
     write_scene(context.out, scene)

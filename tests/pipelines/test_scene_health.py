@@ -119,9 +119,9 @@ def test_clips_of_other_lengths_are_named() -> None:
         for n, t in enumerate(np.arange(begin, end, 0.1))
         if 1.0 <= t <= 4.0
     ]
-    (row,) = left_out(list(filmed), used)
+    (row,) = left_out(list(filmed), [], used)
     assert (row.value, row.verdict) == ("late", "warn") and "late" in row.remedy
-    assert left_out(["cam0", "cam1", "short"], used) == []
+    assert left_out(["cam0", "cam1", "short"], [], used) == []
 
 
 def moving(**counts: int) -> tuple[PosedFrame, ...]:
@@ -151,7 +151,7 @@ def test_a_camera_of_one_picture_ends_the_run_only_where_too_few_are_left(
     used = without_single_pictures(moving(**filmed))
     assert {frame.camera_name for frame in used} == left
     gone = [name for name in filmed if name not in left]
-    assert [row.value for row in left_out(list(filmed), used)] == gone
+    assert [row.value for row in left_out(list(filmed), [], used)] == gone
     bounds = scene_bounds([frame.camera for frame in odd_scene.static], [], np.zeros((0, 3)), np.zeros(0))
     rows = {row.check: row for row in stage.health(bounds, replace(odd_scene, dynamic=used))}
     row = rows["frames of the shortest training camera"]

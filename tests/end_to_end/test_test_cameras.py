@@ -1,0 +1,175 @@
+"""A test camera shapes nothing: whatever it films, all other cameras, the box and the models are the same, to the byte.
+
+The same for pictures that are held out of the sweep, once structure from motion is done.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+import yaml
+from tests.conftest import EXAMPLE
+from tests.end_to_end.small_session import WITNESS, write_small_session
+
+SMALLER = {"canonical_iterations": 40, "motion_iterations": 8, "rays": 512, "resolution": 40}
+# What a training took, which no two runs have in common.
+MEASURED = {"seconds", "rays_per_s", "peak_rss_gb", "peak_gpu_gb", "tracking_s", "fine_tuning_s", "elapsed_s"}
+LEFT_ASIDE = {"stamp.json", "colmap.log"}  # they tell of files, times of day and seconds
+STAGES = ("ingest", "static_poses", "sync", "rig", "colour", "scene", "flow", "canonical", "deformation")
+
+
+@dataclass(frozen=True)
+class Session:
+    """A small session whose witness can film something else."""
+
+    scene: Path
+
+    def run(self, until: str, *options: str) -> Path:
+        """The run folder, run up to a stage on one thread."""
+        command = [sys.executable, "-m", "devrf", "run", str(self.scene), "--until", until, "--device", "cpu"]
+        done = subprocess.run(
+            [*command, "--allow-unhealthy", "--quiet", *options],
+            capture_output=True,
+            text=True,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        )
+        assert done.returncode == 0, done.stderr
+        return self.scene.parent / "run"
+
+    def with_clip(self, write: Callable[[Path], None] | None, folder: Path) -> "Session":
+        """The same session in another folder, with another clip of the witness; None: without the witness."""
+        shutil.copytree(self.scene.parent, folder, ignore=shutil.ignore_patterns("run"))
+        clip, scene = folder / f"{WITNESS}.mp4", yaml.safe_load(self.scene.read_text())
+        if write is None:
+            del scene["capture"]["test_cameras"]
+            (folder / "scene.yaml").write_text(yaml.safe_dump(scene))
+            clip.unlink()
+        else:
+            write(clip)
+        return Session(folder / "scene.yaml")
+
+
+def noise(clip: Path) -> None:
+    """Noise of the same length."""
+    rng = np.random.default_rng(5)
+    rewrite(clip, lambda rgb: rng.integers(0, 256, rgb.shape, np.uint8))
+
+
+def black(clip: Path) -> None:
+    """Nothing but black."""
+    rewrite(clip, np.zeros_like)
+
+
+def half_rate(clip: Path) -> None:
+    """Every second picture, each at its own time."""
+    rewrite(clip, lambda rgb: rgb, every=2)
+
+
+def rewrite(clip: Path, shown: Callable[[np.ndarray], np.ndarray], every: int = 1) -> None:
+    """The clip with other pictures, and without its sound."""
+    before = clip.with_suffix(".before.mp4")
+    clip.rename(before)
+    with av.open(str(before)) as whole, av.open(str(clip), "w") as out:
+        own = whole.streams.video[0]
+        video = out.add_stream("libx264", rate=8, options={"crf": "20"})
+        video.width, video.height = own.width, own.height
+        video.time_base = video.codec_context.time_base = Fraction(1, 90_000)
+        for n, frame in enumerate(whole.decode(video=0)):
+            if n % every == 0:
+                picture = av.VideoFrame.from_ndarray(shown(frame.to_ndarray(format="rgb24")), format="rgb24")
+                picture.pts, picture.time_base = round(frame.time * 90_000), Fraction(1, 90_000)
+                out.mux(video.encode(picture))
+        out.mux(video.encode(None))
+    before.unlink()
+
+
+def without_witness(value: Any) -> Any:
+    """What a JSON file says of all others: entries that the witness's name stands in, and what was measured, go."""
+    if isinstance(value, dict):
+        return {
+            key: without_witness(entry)
+            for key, entry in value.items()
+            if WITNESS not in key and key not in MEASURED
+        }
+    if isinstance(value, list):
+        return [without_witness(entry) for entry in value if not names_witness(entry)]
+    return value
+
+
+def names_witness(entry: Any) -> bool:
+    """Whether an entry of a list is about the witness."""
+    texts = entry.values() if isinstance(entry, dict) else [entry]
+    return any(isinstance(text, str) and WITNESS in text for text in texts)
+
+
+def files_of(run: Path, until: str) -> dict[str, Any]:
+    """Contents of the files that stages have left, as far as they are of other cameras."""
+    found: dict[str, Any] = {}
+    for stage in STAGES[: STAGES.index(until) + 1]:
+        for path in sorted((run / stage).rglob("*")):
+            name = str(path.relative_to(run))
+            if path.is_file() and path.name not in LEFT_ASIDE and WITNESS not in name:
+                is_json = path.suffix == ".json" and name != "scene/scene.json"
+                found[name] = without_witness(json.loads(path.read_text())) if is_json else path.read_bytes()
+    return found
+
+
+def assert_alike(one: dict[str, Any], other: dict[str, Any]) -> None:
+    """The same files with the same contents, or which are not."""
+    assert one.keys() == other.keys()
+    assert [name for name in one if one[name] != other[name]] == []
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    scene = write_small_session(EXAMPLE, tmp_path_factory.mktemp("test_cameras") / "true")
+    content = yaml.safe_load(scene.read_text())
+    content["reconstruct"] |= SMALLER
+    scene.write_text(yaml.safe_dump(content))
+    return Session(scene)
+
+
+def test_a_witness_that_shows_noise_changes_nothing_up_to_the_scene(session: Session, tmp_path: Path) -> None:
+    true = files_of(session.run("scene"), "scene")
+    assert "scene/scene.json" in true and any(name.startswith("ingest/frames/cam2/") for name in true)
+    assert_alike(true, files_of(session.with_clip(noise, tmp_path / "noise").run("scene"), "scene"))
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("clip", [noise, black, half_rate, None])
+def test_a_witness_changes_nothing_up_to_the_models(
+    session: Session, tmp_path: Path, clip: Callable[[Path], None] | None
+) -> None:
+    true = files_of(session.run("deformation"), "deformation")
+    assert {"canonical/model.safetensors", "deformation/model.safetensors"} <= true.keys()
+    other = session.with_clip(clip, tmp_path / "other").run("deformation")
+    assert_alike(true, files_of(other, "deformation"))
+
+
+@pytest.mark.full
+def test_what_is_held_out_of_the_sweep_is_in_structure_from_motion_alone(
+    session: Session, tmp_path: Path
+) -> None:
+    true = session.run("deformation")
+    other = session.with_clip(lambda clip: None, tmp_path / "other")
+    run = other.run("static_poses")
+    names = sorted(json.loads((run / "static_poses" / "static_poses.json").read_text())["frames"])
+    for n, name in enumerate(names):
+        if n % 8 == 0:
+            path = run / "ingest" / "frames" / name
+            picture = cv2.imread(str(path))
+            cv2.imwrite(str(path), np.random.default_rng(n).integers(0, 256, picture.shape, np.uint8))
+    other.run("deformation", "--from", "sync")
+    for file in ("scene/scene.json", "canonical/model.safetensors", "deformation/model.safetensors"):
+        assert (run / file).read_bytes() == (true / file).read_bytes(), file
