@@ -118,8 +118,9 @@ def held(clocks: Mapping[str, Clock], spans_s: Mapping[str, tuple[float, float]]
         clock = clocks[name]
         sure = clock.confidence >= SURE
         cue: PairCue = clock.method if clock.method not in ("reference", "none") else "timestamps"
-        for file_s in spans_s[name]:
-            true_s = float(clock.true_time(np.array(file_s)))
+        for file_s, true_s in zip(
+            spans_s[name], clock.true_time(np.array(spans_s[name])).tolist(), strict=True
+        ):
             out.append(Equation(first, name, true_s, file_s, HELD_STD_S, cue, 1.0, sure, not sure))
     return out
 

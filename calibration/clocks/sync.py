@@ -228,10 +228,15 @@ def _settle(
         cues = " and ".join(dict.fromkeys(_word(clocks[n].method) for n in names[1:] if n in best))
         notes.append(f"camera {', '.join(others)}: by motion, the others by {cues}")
     loop_s = None
-    if len(used) > len(reached) - 1:
-        surest = "audio" if any(e.cue == "audio" for e in used) else used[0].cue  # others are coarser by far
-        own = [abs(r) for r, e in zip(solution.residual_s, used, strict=True) if e.cue == surest]
-        loop_s = float(max(own))
+    told = [
+        (e, abs(float(r)))
+        for r, e in zip(solution.residual_s, used, strict=True)
+        if not {e.a, e.b} <= evidence.known
+    ]
+    if len(told) > len(reached - evidence.known) - (not evidence.known):
+        cues = [e.cue for e, _ in told]
+        surest = "audio" if "audio" in cues else cues[0]  # others are coarser by far
+        loop_s = max(r for e, r in told if e.cue == surest)
     return SyncResult(
         clocks,
         tuple(evidence.curves),

@@ -273,3 +273,28 @@ def test_methods_that_cannot_be_used():
 def test_true_time():
     clock = Clock(0.5, 100.0, 0.0, "audio", 1.0, "")
     np.testing.assert_allclose(clock.true_time(np.array([0.0, 10.0])), [0.5, 10.501], rtol=0, atol=1e-12)
+
+
+def test_clocks_that_are_known_stand_and_another_is_put_on_them():
+    rng = np.random.default_rng(5)
+    times = [1.03, 1.71, 2.94, 3.36]
+    sounds = {n: claps(rng, times, o) for n, o in zip(NAMES, OFFSETS_S, strict=True)}
+    trained = spans(names=NAMES[:-1])
+    known = synchronise(trained, {n: sounds[n] for n in trained}, {}).cameras
+    placed = synchronise(spans(), sounds, {}, known=known)
+    assert {n: placed.cameras[n] for n in trained} == known
+    assert placed.cameras["witness"].offset_s == pytest.approx(OFFSETS_S[-1], abs=2e-4)
+    assert placed.cameras["witness"].method == "audio" and placed.cameras["witness"].confidence >= 0.5
+    assert {frozenset((c.first, c.second)) for c in placed.curves} == {
+        frozenset((n, "witness")) for n in trained
+    }
+    assert all("witness" in loop.cameras for loop in placed.loops)
+
+
+def test_a_camera_beside_known_clocks_that_no_cue_reaches_keeps_a_guess():
+    rng = np.random.default_rng(5)
+    sounds = {n: claps(rng, [1.03, 1.71, 2.94], o) for n, o in zip(NAMES[:2], OFFSETS_S, strict=False)}
+    known = synchronise(spans(names=NAMES[:2]), sounds, {}).cameras
+    placed = synchronise(spans(names=(*NAMES[:2], "witness")), sounds, {}, known=known)
+    assert placed.cameras["witness"].confidence == 0 and placed.loop_s is None
+    assert placed.cameras["cam1"] == known["cam1"]

@@ -231,6 +231,12 @@ def test_overrides_are_yaml(folder: Path) -> None:
     assert config.preset == "fast"
 
 
+def test_cameras_that_are_trained_on_come_first(folder: Path) -> None:
+    found = load(folder, GOOD + "  test_cameras: [cam0]\n").capture
+    assert found is not None and list(found.all_cameras)[-1] == "cam0"
+    assert next(iter(found.all_cameras)) == next(iter(found.training_cameras)) != "cam0"
+
+
 def test_test_cameras_as_names_or_clips(folder: Path) -> None:
     named = load(folder, GOOD + "  test_cameras: [cam1]\n").capture
     own = load(folder, GOOD + "  test_cameras: {witness: witness.mp4}\n").capture

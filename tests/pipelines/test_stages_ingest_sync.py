@@ -85,10 +85,26 @@ def test_sync_writes_clocks_curves_and_health(tmp_path):
     for name, offset_s in offsets.items():
         clock = written["cameras"][name]
         assert clock["offset_s"] == pytest.approx(offset_s, abs=1e-4) and clock["drift_ppm"] == 0
-    assert written["shared_s"] == pytest.approx([0.25, 59 / 30 - 0.125], abs=1e-3)
-    curves = json.loads((tmp_path / "sync" / "curves.json").read_text())["curves"]
-    assert {(c["first"], c["second"]) for c in curves} >= {("cam0", "cam1"), ("cam0", "witness")}
+    assert written["shared_s"] == pytest.approx([0.25, 59 / 30], abs=1e-3)  # test cameras do not count
+    curves = json.loads((tmp_path / "sync" / "curves.json").read_text())
+    assert {(c["first"], c["second"]) for c in curves["curves"]} == {("cam0", "cam1")}
+    of_test = curves["tests"]["witness"]["curves"]
+    assert {(c["first"], c["second"]) for c in of_test} == {("cam0", "witness"), ("cam1", "witness")}
     assert set(verdicts(stage.health).values()) == {"ok"}
+
+
+def test_a_test_camera_refuses_nothing(tmp_path):
+    """It is silent, nothing moves in it, and it films when nobody else does."""
+    cameras = {"cam0": frames(), "cam1": frames(), "witness": frames("test", start_s=9.0)}
+    write_ingest(tmp_path, cameras, {n: sound(o) for n, o in {"cam0": 0.0, "cam1": 0.25}.items()})
+    stage = context(tmp_path)
+    sync.run(stage)
+    rows = verdicts(stage.health)
+    assert set(rows.values()) == {"ok", "warn"}
+    assert all("witness" in check for check, verdict in rows.items() if verdict == "warn")
+    assert rows["test camera witness"] == "warn"
+    clock = json.loads((tmp_path / "sync" / "sync.json").read_text())["cameras"]["witness"]
+    assert clock["std_s"] is None
 
 
 def test_clips_that_do_not_overlap_fail(tmp_path):
