@@ -90,10 +90,12 @@ class _Tracked:
 def _of_both(
     movers: _Tracked, model: DynamicModel, metrics: dict[str, Any], field_errors: Errors
 ) -> tuple[DynamicModel, dict[str, Any]]:
-    """The field where it explains pixels left out of training better, by more than chance; else the movers."""
+    """The field where it explains more than the movers, by more than chance, or where these explain nothing."""
     parts, gain = f"{movers.metrics['parts']} parts", field_errors.gain_over(movers.errors)
     reason = f"{LEFT_OUT} a field gains {gain_text(gain)} over {parts} without shading"
-    if gain.side() > 0:
+    gain_db = movers.metrics["movers_unshaded_gain_db"]
+    reason += f"; these gain {gain_db:+.2f} dB over a scene in which nothing moves"
+    if gain.side() > 0 or gain_db <= 0:
         other, decision = movers.metrics, Decision("movers", "none", parts, reason)
     else:
         model, metrics, other = movers.model, movers.metrics, metrics
