@@ -6,7 +6,9 @@ the truth's masks, or where they differ from the same camera's own picture of wh
 no model decides what counts. `test_rest`: the model at rest against that picture of what stands, where it is known.
 `static_baseline`: the same test pictures against the canonical model as if nothing moved: what motion must beat.
 `shading`: where it moves, in some of the test pictures, with the shading of movers and without it.
-PSNR is taken per picture and then averaged. No gain or offset is fitted.
+PSNR is taken per picture and then averaged. All this is by the clocks as they were calibrated, and nothing is fitted.
+`test_moving_retimed`, beside `test_moving` where a test camera's clock is not known: one offset of its clock, found on
+its pictures in even places, and scored on those in odd places.
 """
 
 import time as clock
@@ -30,7 +32,7 @@ from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
 from devrf.reconstruct.lpips_weights import Source
 from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, psnr
-from devrf.reconstruct.pictures import spread
+from devrf.reconstruct.pictures import in_two, spread
 from devrf.reconstruct.still_picture import StillPicture, still_picture
 
 if TYPE_CHECKING:  # it needs torch
@@ -78,6 +80,7 @@ def evaluate(
     confidence: "Confidence | None" = None,
     masks: Mapping[str, Bool[np.ndarray, "frames h w"]] | None = None,
     unshaded: Render | None = None,
+    test_clocks: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Render and score all test pictures; see the module's text for the blocks of the result.
 
@@ -90,10 +93,13 @@ def evaluate(
         confidence: Expected errors of the same model's pictures; None: nothing is said of them.
         masks: What moves in truth in a camera's pictures, by their numbers in its file, of any size.
         unshaded: The model without its shading; None: it has none.
+        test_clocks: Of test cameras whose clocks are not known `offset_s`, seconds by which their pictures were taken
+            later than the scene says, found on those in even places, or None and `why`.
     Returns:
         `test`, `test_static`, `test_moving`, `test_rest`, `static_baseline`, `shading`, `per_view`, `still_pictures`,
-        `render_fps`; with `confidence` also `confidence`: `test`, `test_static` and `test_moving`, expected errors
-        against measured ones (`confidence_curve.curve`), of the pictures that confidence is kept of.
+        `render_fps`; with `test_clocks` also `test_moving_retimed`; with `confidence` also `confidence`: `test`,
+        `test_static` and `test_moving`, expected errors against measured ones (`confidence_curve.curve`), of the
+        pictures that confidence is kept of.
     """
     scene = scene.in_box_frame()
     moving = sorted(
@@ -105,8 +111,15 @@ def evaluate(
     standing = {name: still_picture(scene, [f for f in moving if f.camera_name == name]) for name in names}
     masks = masks or {}
     extra = spread(range(len(moving)), EXTRA_PICTURES)
+    times = _retimed(scene, moving, test_clocks or {})
     views = [
-        session.moving_view(f, standing[f.camera_name], masks.get(f.camera_name), n in extra)
+        session.moving_view(
+            f,
+            standing[f.camera_name],
+            masks.get(f.camera_name),
+            n in extra,
+            times.get((f.camera_name, f.index)),
+        )
         for n, f in enumerate(moving)
     ]
     at_rest = [
@@ -133,14 +146,17 @@ def evaluate(
     curves = {name: curve(session.errors[name], why[name]) for name in why}
     if not scene.dynamic:
         curves["test"] = curves["test_static"]
+    retimed, retimed_baseline = _retimed_blocks(views, lpips, test_clocks or {}, no_pixels)
     return {
         "test": test,
         "test_static": test_static,
         "test_moving": _block(parts["moving"], lpips, no_pixels),
+        **retimed,
         "test_rest": _block([v["scores"] for v in at_rest], lpips, NO_STILL if moving else absent),
         "static_baseline": {
             "test": _block([v["rest_scores"] for v in views], lpips, absent),
             "test_moving": _block(parts["rest_moving"], lpips, no_pixels),
+            **retimed_baseline,
         },
         "shading": _shading([v["shading"] for v in views if v["shading"] is not None]),
         "per_view": [_row(view) for view in views + still_views],
@@ -175,9 +191,17 @@ class _Session:
         self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
 
     def moving_view(
-        self, frame: PosedFrame, still: StillPicture | None, masks: np.ndarray | None, extra: bool
+        self,
+        frame: PosedFrame,
+        still: StillPicture | None,
+        masks: np.ndarray | None,
+        extra: bool,
+        retimed: float | None,
     ) -> dict[str, Any]:
-        """Scores of a test picture of the moving scene, of the baseline, and of both where it moves."""
+        """Scores of a test picture of the moving scene, of the baseline, and of both where it moves.
+
+        With `retimed` also where it moves, at that time.
+        """
         true, camera = self._true(frame)
         rest = self._at_rest(camera)
         rendered, expected = self._timed(camera, frame.time, extra)
@@ -190,6 +214,7 @@ class _Session:
             "moving": None,
             "rest_moving": None,
             "moving_share": None,
+            "retimed": None,
             "shading": None,
         }
         where = _moving(true, still, None if masks is None else masks[frame.index])
@@ -197,6 +222,9 @@ class _Session:
             view["moving"] = _scored(moved.part(where))
             view["rest_moving"] = _scored(stood.part(where))
             view["moving_share"] = round(float(where.mean()), 5)
+            if retimed is not None:
+                later = Comparison(self.render(camera, retimed), true)
+                view["retimed"] = {"time": retimed, **_scored(later.part(where))}
             if extra and self.unshaded is not None:
                 view["shading"] = (
                     view["moving"]["psnr"],
@@ -300,6 +328,45 @@ def motion_psnr(metrics: Mapping[str, Any]) -> tuple[float | None, float | None]
     return metrics[block]["psnr"], metrics["static_baseline"][block]["psnr"]
 
 
+def _retimed(
+    scene: Scene, moving: Sequence[PosedFrame], clocks: Mapping[str, Mapping[str, Any]]
+) -> dict[tuple[str, int], float]:
+    """Times of the pictures in odd places, by camera and number, with the clocks that were found on the others.
+
+    Pictures that a clock takes out of the modelled time are scored at its end, so that all of them count.
+    """
+    times = {}
+    for name, found in clocks.items():
+        if found["offset_s"] is not None:
+            later = found["offset_s"] / (scene.t1_s - scene.t0_s)
+            for frame in in_two([f for f in moving if f.camera_name == name])[1]:
+                times[name, frame.index] = min(1.0, max(0.0, (frame.time or 0.0) + later))
+    return times
+
+
+def _retimed_blocks(
+    views: Sequence[Mapping[str, Any]],
+    lpips: LpipsNets,
+    clocks: Mapping[str, Mapping[str, Any]],
+    no_pixels: str,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """`test_moving_retimed` of the model and of the baseline; none where all clocks are known.
+
+    Beside the scores: `offsets_ms` by camera, and the same pictures by the clocks as they were calibrated.
+    """
+    if not clocks:
+        return {}, {}
+    unclear = "; ".join(f"clock of {name}: {c['why']}" for name, c in clocks.items() if c["offset_s"] is None)
+    scored = [view for view in views if view["retimed"] is not None]
+    offsets_ms = {name: None if c["offset_s"] is None else 1e3 * c["offset_s"] for name, c in clocks.items()}
+    of = {
+        key: _block([v[key] for v in scored if v[key]["psnr"] is not None], lpips, unclear or no_pixels)
+        for key in ("retimed", "moving", "rest_moving")
+    }
+    block = of["retimed"] | {"offsets_ms": offsets_ms, "calibrated_psnr": of["moving"]["psnr"]}
+    return {"test_moving_retimed": block}, {"test_moving_retimed": of["rest_moving"]}
+
+
 def _moving(
     true: np.ndarray, still: StillPicture | None, mask: np.ndarray | None
 ) -> Bool[np.ndarray, "height width"] | None:
@@ -325,6 +392,8 @@ def _row(view: dict[str, Any]) -> dict[str, Any]:
     if view.get("moving"):
         row["moving"] = {**view["moving"], "share": view["moving_share"]}
         row["static_baseline"]["moving"] = view["rest_moving"]
+    if view.get("retimed"):
+        row["retimed"] = view["retimed"]
     return row | view["files"]
 
 

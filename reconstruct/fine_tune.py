@@ -7,7 +7,6 @@ the scene at rest are still made of what the sweep alone has taught.
 """
 
 import copy
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +19,8 @@ from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
-from devrf.reconstruct.held_back import HeldBack
+from devrf.reconstruct.left_out import LeftOut
+from devrf.reconstruct.left_out_errors import Errors, gain_text
 from devrf.reconstruct.losses import entropy_loss, rendering_loss
 from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
@@ -38,14 +38,13 @@ from devrf.reconstruct.training_state import grids_state, net_state, take_up_gri
 LR = 0.03  # initial, of the grids; a tenth of training's: the scene at rest is nearly right; falls by 10
 NET_SHARE = 1 / 300  # the MLP's rate, of the grids'
 ENTROPY = 1e-3  # weight
-AT_ONCE = 1 << 14  # held-back rays
+AT_ONCE = 1 << 14  # rays left out
 REACH = 2  # voxels of the scene at rest around where the moving scene may be
 TAUS_PER_KEY = 4  # times between two keys at which it is looked where that is
 PICTURES = 32  # of which an iteration's rays are
 MOST_MOVED = 1 << 28  # bytes of both fields that are brought to a GPU at once, where they are not kept there
 WINDOW_EVERY = 10  # iterations with the same key times: to bring others costs as much as a few of them
 LOG_EVERY = 50
-PAYS_DB = 0.1  # on pixels held back; where it gains less, there is none
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class FineTuned:
 
     Attributes:
         model: The scene at rest as it looks in motion; None where that gains nothing.
-        gain_db: On pixels held back; None where there are none.
+        gain_db: On pixels that it leaves out, but its motion was trained on; None where there are none.
         decision: Why there is no model.
         metrics: What the training measured.
     """
@@ -105,12 +104,15 @@ def fine_tune(
         checkpoint.keep(iteration, iterations, log, recipe.state)
     log.close_row()
     model = recipe.model()
-    before, after = recipe.held_before, recipe.held_error()
-    gain, decision = 10 * math.log10(before / after) if before and after else None, None
-    if options.adapt and not options.fine_tuning_given and gain is not None and gain < PAYS_DB:
-        reason = f"it gained {gain:+.2f} dB on pixels held back, less than {PAYS_DB}"
-        model, decision = None, Decision("fine-tuning", "none", f"{iterations} iterations", reason)
-    return FineTuned(model, gain, decision, log.summary() | recipe.guard.summary())
+    before, after, decision = recipe.errors_before, recipe.errors(), None
+    gain_db = after.gain_db(before) if before is not None and after is not None else None
+    if options.adapt and not options.fine_tuning_given and before is not None and after is not None:
+        gain = after.gain_over(before)
+        if gain.side() <= 0:
+            reason = f"on pixels that it left out it gained {gain_text(gain)}"
+            decision = Decision("fine-tuning", "none", f"{iterations} iterations", reason)
+            model = None
+    return FineTuned(model, gain_db, decision, log.summary() | recipe.guard.summary())
 
 
 class _Recipe:
@@ -124,7 +126,7 @@ class _Recipe:
             for frames in (scene.dynamic, scene.static)
         )
         self.changing = changing_pixels(self.rays) if options.importance > 0 else None
-        self.held_back = HeldBack(self.rays, self.changing)
+        self.left_out = LeftOut(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)
         self.rest, self.whole_motion = replace(rest, canonical=_copied(rest.canonical)), motion
         self.tau, self.device = motion.tau(self.rays.times), device
@@ -138,7 +140,7 @@ class _Recipe:
         self.net = torch.optim.Adam(canonical.net.parameters(), 0.0, BETAS, EPS)
         self.guard = Guard()
         self.windows = _windows(motion, device)
-        self.held_before = self.held_error()  # and its last window is entered
+        self.errors_before = self.errors()  # and its last window is entered
 
     def enter(self, window: int) -> None:
         """Take some of the key times, all if they fit, and the pictures between them."""
@@ -220,26 +222,27 @@ class _Recipe:
         return replace(self.rest, shell=None, metrics={})
 
     @torch.no_grad()
-    def held_error(self) -> float | None:
-        """Mean squared error of rays of the moving cameras that are held back; None where there are none."""
-        errors = []
+    def errors(self) -> Errors | None:
+        """Of pixels of the moving cameras that are left out; None where there are none."""
+        asked, squared = [], []
         for window in range(len(self.windows)):
             self.enter(window)
-            batch = self.held_back.rays_of(self.pictures)
+            batch = self.left_out.rays_of(self.pictures)
             if batch is None:
                 continue
             for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
                 some = self.rays.at(frame, pixel)
                 rgb, _ = self._seen(some, torch.full_like(some.time, 0.5), (None, None))
-                errors.append(((rgb - some.rgb) ** 2).mean(1))
-        return float(torch.cat(errors).mean()) if errors else None
+                asked.append(frame)
+                squared.append(((rgb - some.rgb).double() ** 2).mean(1))
+        return Errors.of(self.rays, torch.cat(asked), torch.cat(squared)) if asked else None
 
     def _draw(self) -> RayBatch:
-        """Rays of some of the pictures, those held back left out."""
+        """Rays of some of the pictures, without those left out."""
         chosen = torch.randperm(len(self.pictures), generator=self.generator)[:PICTURES]
         pictures = self.pictures[chosen.to(self.pictures.device)]
         o = self.options
-        return self.held_back.without(
+        return self.left_out.without(
             draw_with_importance(self.rays, self.changing, o.rays, o.importance, pictures, self.generator)
         )
 

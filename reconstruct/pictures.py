@@ -23,6 +23,12 @@ def clips(scene: Scene) -> dict[str, list[PosedFrame]]:
     return dict(sorted(out.items()))
 
 
+def in_two(frames: Sequence[PosedFrame]) -> tuple[list[PosedFrame], list[PosedFrame]]:
+    """Pictures of a camera in the order of their times: those in even and those in odd places, counted from 0."""
+    ordered = sorted(frames, key=lambda f: (f.time or 0.0, f.index))
+    return ordered[::2], ordered[1::2]
+
+
 def stands(frames: Sequence[PosedFrame]) -> bool:
     """Whether a camera has one pose and one lens in all of these pictures."""
     return len({frame.camera.view for frame in frames}) == 1

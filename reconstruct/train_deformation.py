@@ -5,9 +5,8 @@ which are trained together with what stands; else, and where that explains too l
 (`train_motion.py`).
 """
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,9 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.as_trained import retimed
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.fine_tune import fine_tune
-from devrf.reconstruct.held_gain import held_gain_db
+from devrf.reconstruct.left_out_errors import Errors, errors_in_motion, gain_text
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
@@ -34,14 +32,13 @@ from devrf.reconstruct.watch import Watch
 
 DIVERGED = "training-diverged"  # code of the error
 TRACKING = 0.5  # share of the progress bar
-# Of movers over a scene in which nothing moves, on pixels held back: with less, a field is trained, too.
+# Of movers over a scene in which nothing moves, on pixels left out of training: with less, a field is trained, too. It
+# says whether a second training is worth its time, not which of both is taken.
 DOUBTED_DB = 3.0
-# Of moved clocks over those of sync, on pixels held back: a move that was wrong gained 0.02, one that was right 1.9.
-CLOCK_GAIN_DB = 0.3
 BY_NODES, BY_PARTS = "by nodes", "by rigid parts"
 RIGID, SOFT = "rigid", "soft"
-# Of soft parts over rigid ones, on pixels held back before training: a sheet gains 0.3 then and 1.3 dB once trained.
-SOFT_GAIN_DB = 0.1
+TRACKED = "on pixels that tracking has read"
+LEFT_OUT = "on pixels left out of training (tracking and flow have read them)"
 MOTION = 0.9  # share of the progress bar, before fine-tuning
 
 
@@ -64,28 +61,44 @@ def train_deformation(
     tracked = None
     if options.together and estimator is not None:
         tracked = _movers(scene, rest, options, device, progress, checkpoint, estimator)
-        if not isinstance(tracked, Decision) and tracked[1]["movers_unshaded_gain_db"] >= DOUBTED_DB:
-            return tracked
-    model, metrics = _field(scene, rest, flows, options, device, progress, checkpoint, watch)
+        if not isinstance(tracked, Decision) and tracked.metrics["movers_unshaded_gain_db"] >= DOUBTED_DB:
+            return tracked.model, tracked.metrics
+    competes = isinstance(tracked, _Tracked)
+    model, metrics = _field(scene, rest, flows, options, device, progress, checkpoint, watch, competes)
     if tracked is None:
         return model, metrics
     if isinstance(tracked, Decision):
         metrics["decisions"].append(str(tracked))
         return model, metrics
-    return _of_both(tracked, (model, metrics), held_gain_db(scene.in_box_frame(), model, device))
+    return _of_both(tracked, model, metrics, errors_in_motion(scene.in_box_frame(), model, device))
+
+
+@dataclass(frozen=True)
+class _Tracked:
+    """A model with movers.
+
+    Attributes:
+        model, metrics: What came of it, and what was measured.
+        errors: Of pixels left out of training, without shading.
+    """
+
+    model: DynamicModel
+    metrics: dict[str, Any]
+    errors: Errors
 
 
 def _of_both(
-    movers: tuple[DynamicModel, dict[str, Any]], field: tuple[DynamicModel, dict[str, Any]], field_db: float
+    movers: _Tracked, model: DynamicModel, metrics: dict[str, Any], field_errors: Errors
 ) -> tuple[DynamicModel, dict[str, Any]]:
-    """Which of both explains pixels held back better, by how much a field does so."""
-    parts, movers_db = f"{movers[1]['parts']} parts", movers[1]["movers_unshaded_gain_db"]
-    reason = f"on pixels held back a field gains {field_db:+.2f} dB, {parts} {movers_db:+.2f} without shading"
-    if movers_db < field_db:
-        (model, metrics), other = field, movers[1]
-        decision = Decision("movers", "none", parts, reason)
+    """The field where it explains more than the movers, by more than chance, or where these explain nothing."""
+    parts, gain = f"{movers.metrics['parts']} parts", field_errors.gain_over(movers.errors)
+    reason = f"{LEFT_OUT} a field gains {gain_text(gain)} over {parts} without shading"
+    gain_db = movers.metrics["movers_unshaded_gain_db"]
+    reason += f"; these gain {gain_db:+.2f} dB over a scene in which nothing moves"
+    if gain.side() > 0 or gain_db <= 0:
+        other, decision = movers.metrics, Decision("movers", "none", parts, reason)
     else:
-        (model, metrics), other = movers, field[1]
+        model, metrics, other = movers.model, movers.metrics, metrics
         decision = Decision("movers", parts, "a field", reason)
     metrics = _with_cost_of(metrics, other)
     return model, metrics | {"decisions": [*metrics["decisions"], str(decision)]}
@@ -99,7 +112,7 @@ def _movers(
     progress: Progress,
     checkpoint: Checkpoint,
     estimator: Callable[[], FlowEstimator],
-) -> tuple[DynamicModel, dict[str, Any]] | Decision:
+) -> _Tracked | Decision:
     """The model with movers and what was measured, or why there is none: tracking cannot be, or explains too little."""
     why = why_not_tracked(scene, rest)
     if why is not None:
@@ -111,7 +124,7 @@ def _movers(
 
     def better(*two: Found | None) -> bool:
         by_nodes, by_parts = (
-            math.inf
+            None
             if one is None
             else untrained_errors(boxed, rest, one.stands, [one.movers], options, device)[0]
             for one in two
@@ -162,38 +175,41 @@ def _movers(
         "points": len(found.surface),
         "lost_share": round(float(found.tracks.lost.mean()), 4),
         "rigid_parts": found.told(scene.box_from_world),
-        "movers_gain_db": round(trained.gain_db, 3),
-        "movers_unshaded_gain_db": round(trained.unshaded_gain_db, 3),
+        "movers_gain_db": round(trained.errors.gain_db(trained.errors_at_rest), 3),
+        "movers_unshaded_gain_db": round(trained.unshaded_errors.gain_db(trained.errors_at_rest), 3),
         "tracking_s": round(tracking_s, 1),
         "clock_offsets_s": found.offsets_s,
         "decisions": decisions,
         "flow_contradicted": {},
     }
     metrics["seconds"] += tracking_s
-    return model, metrics
+    return _Tracked(model, metrics, trained.unshaded_errors)
 
 
-def _followed(by_nodes: float, by_parts: float) -> Decision:
-    """How points that were followed twice were, by mean squared errors of movers; infinite: too few points move."""
+def _followed(by_nodes: Errors | None, by_parts: Errors | None) -> Decision:
+    """How points that were followed twice were, by errors of movers before training; None: too few points move.
+
+    The tracks by nodes are kept where those by parts are not better by more than chance.
+    """
     two = (BY_PARTS, BY_NODES)
-    chosen, other = two if by_parts < by_nodes else two[::-1]
-    if math.isinf(max(by_nodes, by_parts)):
+    if by_nodes is None or by_parts is None:
+        chosen, other = two if by_nodes is None and by_parts is not None else two[::-1]
         return Decision("tracks", chosen, other, f"{other} too few points of the surface move")
-    gain_db = 10 * math.log10(by_nodes / by_parts)
-    reason = f"{BY_PARTS} pixels held back gain {gain_db:+.2f} dB before training"
-    return Decision("tracks", chosen, other, reason)
+    gain = by_parts.gain_over(by_nodes)
+    chosen, other = two if gain.side() > 0 else two[::-1]
+    return Decision("tracks", chosen, other, f"{TRACKED} {BY_PARTS} gains {gain_text(gain)} before training")
 
 
 def _softened(
     boxed: Scene, rest: RestModel, every: Sequence[Found], options: MotionOptions, device: str
 ) -> tuple[list[Found], Decision]:
-    """What was found, with parts that may stretch where pixels held back gain by it before training."""
+    """What was found, with parts that may stretch where that explains more before training, by more than chance."""
     soft = [found.softened() for found in every]
     motions = [every[0].movers, soft[0].movers]
-    rigid_error, soft_error = untrained_errors(boxed, rest, every[0].stands, motions, options, device)
-    gain_db = 10 * math.log10(rigid_error / soft_error)
-    reason = f"soft ones gain {gain_db:+.2f} dB on pixels held back before training, expected {SOFT_GAIN_DB}"
-    chosen, other = (SOFT, RIGID) if gain_db >= SOFT_GAIN_DB else (RIGID, SOFT)
+    by_rigid, by_soft = untrained_errors(boxed, rest, every[0].stands, motions, options, device)
+    gain = by_soft.gain_over(by_rigid)
+    reason = f"{TRACKED} soft ones gain {gain_text(gain)} before training"
+    chosen, other = (SOFT, RIGID) if gain.side() > 0 else (RIGID, SOFT)
     return (soft if chosen == SOFT else list(every)), Decision("parts", chosen, other, reason)
 
 
@@ -206,12 +222,13 @@ def _better(
     progress: Progress,
     checkpoint: Checkpoint,
 ) -> tuple[Found, Trained, list[str]]:
-    """What was found, trained; with clocks moved where pixels held back are explained better so, and why."""
+    """What was found, trained; with clocks moved where that explains more, by more than chance, and why."""
 
     def train(n: int) -> Trained:
-        scene, found = retimed(boxed, every[n].offsets_s), every[n]
-        part = checkpoint.part(f"movers{n}")
-        return train_movers(scene, rest, found.stands, found.movers, options, device, progress, part)
+        found, part = every[n], checkpoint.part(f"movers{n}")
+        return train_movers(
+            boxed, rest, found.stands, found.movers, options, device, progress, part, found.offsets_s
+        )
 
     found, trained = every[0], train(0)
     if len(every) == 1:
@@ -223,9 +240,9 @@ def _better(
         if error.code != DIVERGED:
             raise
         return found, trained, [str(Decision("clocks", "as they are", moved, str(error)))]
-    gain_db = again.gain_db - trained.gain_db
-    reason = f"moved, pixels held back gain {gain_db:+.2f} dB, expected {CLOCK_GAIN_DB}"
-    if gain_db < CLOCK_GAIN_DB:
+    gain = again.errors.gain_over(trained.errors)
+    reason = f"{LEFT_OUT} moved ones gain {gain_text(gain)}"
+    if gain.side() <= 0:
         trained = replace(trained, metrics=_with_cost_of(trained.metrics, again.metrics))
         return found, trained, [str(Decision("clocks", "as they are", moved, reason))]
     again = replace(again, metrics=_with_cost_of(again.metrics, trained.metrics))
@@ -241,8 +258,12 @@ def _field(
     progress: Progress,
     checkpoint: Checkpoint,
     watch: Watch | None,
+    competes: bool,
 ) -> tuple[DynamicModel, dict[str, Any]]:
-    """Motion as a field, then the scene at rest as it looks in motion, if anything moves."""
+    """Motion as a field, then the scene at rest as it looks in motion, if anything moves.
+
+    Where it competes with movers, the pixels by which both are judged are left out.
+    """
     share = MOTION if options.fine_tuning else 1.0
     motion, metrics = train_motion(
         scene,
@@ -253,6 +274,7 @@ def _field(
         lambda f, m: progress(share * f, m),
         checkpoint,
         watch,
+        competes,
     )
     if not options.fine_tuning or not (metrics["iterations"] or options.fine_tuning_given):
         return DynamicModel(rest, motion), metrics

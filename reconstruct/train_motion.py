@@ -32,6 +32,7 @@ from devrf.reconstruct.kernels.adam import add_total_variation, dense_step
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.key_pictures import KeyPictures
 from devrf.reconstruct.key_times import fewer_keys, offered_keys, rest_key_of
+from devrf.reconstruct.left_out import LeftOut
 from devrf.reconstruct.losses import (
     VARIATION_CLAMP,
     cycle_loss,
@@ -75,6 +76,7 @@ def train_motion(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
+    leave_out: bool = False,
 ) -> tuple[MotionField, dict]:
     """Train both motion fields; returns them and what the training measured.
 
@@ -87,6 +89,7 @@ def train_motion(
         progress: Told how far it is.
         checkpoint: Where to keep the state between two key times, and to take it up from.
         watch: Shown the motion field now and then, between two key times.
+        leave_out: Leave out the pixels by which the field is compared with movers (`left_out.py`).
     Raises:
         ReconstructError: No training pictures of the scene in motion, or the loss diverges with small steps, too.
     """
@@ -97,7 +100,7 @@ def train_motion(
     log = TrainingLog(device, LOG_EVERY)
     rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(0.03 * f, m))
     checked = checked_flow(rays, flows) if options.flow_confidence else CheckedFlow(flows, {})
-    recipe = _Recipe(scene, rest, rays, checked, options, device)
+    recipe = _Recipe(scene, rest, rays, checked, options, device, leave_out)
     visits = [(level, key) for level in range(len(options.levels)) for key in recipe.order]
     saved = checkpoint.found(log)
     begin = 0 if saved is None else recipe.take_up(saved)
@@ -159,6 +162,7 @@ class _Recipe:
         checked: CheckedFlow,
         options: MotionOptions,
         device: str,
+        leave_out: bool,
     ) -> None:
         looked_at = rest.canonical.seen_with(
             options.stepsize, options.alpha_threshold, options.weight_threshold
@@ -171,6 +175,7 @@ class _Recipe:
         self.around = PixelSurroundings(DynamicModel(rest), rays)
         self.flow = PixelFlow(rays, flows, options.flow_confidence)
         self.changing = changing_pixels(rays, flows) if options.importance > 0 else None
+        self.left_out = LeftOut(rays, self.changing) if leave_out else None
         times = sorted({f.time for f in rays.frames if f.time is not None})
         keys = offered_keys(rays.frames, options)
         if options.adapt and options.keys is None:
@@ -391,13 +396,19 @@ class _Recipe:
     def _draw(self) -> RayBatch:
         n = self.options.rays
         if self.options.one_camera:
-            return self.rays.draw(n, self.generator, self.views[self.step_of_key % len(self.views)])
+            pictures = self.views[self.step_of_key % len(self.views)]
+            return self._kept(self.rays.draw(n, self.generator, pictures))
         return self._drawn(n, self.generator)
 
     def _drawn(self, n: int, generator: torch.Generator) -> RayBatch:
         """Rays of all pictures of the present key."""
         share = self.options.importance
-        return draw_with_importance(self.rays, self.changing, n, share, self.pictures, generator)
+        drawn = draw_with_importance(self.rays, self.changing, n, share, self.pictures, generator)
+        return self._kept(drawn)
+
+    def _kept(self, batch: RayBatch) -> RayBatch:
+        """A batch without the pixels that are left out."""
+        return batch if self.left_out is None else self.left_out.without(batch)
 
     @torch.no_grad()
     def _errors(self, batch: RayBatch) -> Float[Tensor, "n 3"]:

@@ -7,8 +7,7 @@ of what the sweep has taught.
 """
 
 import copy
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,13 +16,14 @@ from torch import Tensor
 
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
+from devrf.reconstruct.as_trained import retimed
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grown
 from devrf.reconstruct.guard import Guard, diverged
-from devrf.reconstruct.held_back import HeldBack
-from devrf.reconstruct.held_gain import held_error
+from devrf.reconstruct.left_out import LeftOut
+from devrf.reconstruct.left_out_errors import Errors, errors_of
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
 from devrf.reconstruct.model import Around, DynamicModel
 from devrf.reconstruct.movers import NO_GRADS, Grads, Layered, Movers, Placed, render_layered
@@ -58,14 +58,16 @@ class Trained:
     Attributes:
         stands: What stands as it looks in motion, without surroundings.
         movers: What moves, and the shading.
-        gain_db, unshaded_gain_db: On changing pixels held back, over a scene in which nothing moves; without shading.
+        errors, unshaded_errors: Of changing pixels left out of training; without shading.
+        errors_at_rest: Of the same, if nothing moved.
         metrics: What the training measured.
     """
 
     stands: RestModel
     movers: Movers
-    gain_db: float
-    unshaded_gain_db: float
+    errors: Errors
+    unshaded_errors: Errors
+    errors_at_rest: Errors
     metrics: dict[str, Any]
 
 
@@ -78,6 +80,7 @@ def train_movers(
     device: str = "cpu",
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
+    offsets_s: Mapping[str, float] | None = None,
 ) -> Trained:
     """Train for `together` iterations.
 
@@ -90,11 +93,12 @@ def train_movers(
         device: cpu or cuda.
         progress: Told how far it is.
         checkpoint: Where to keep the state between two iterations, and to take it up from.
+        offsets_s: Seconds by which cameras took their pictures later than the scene says.
     Raises:
         ReconstructError: The loss diverges with small steps, too.
     """
     log, iterations = TrainingLog(device, LOG_EVERY), options.together
-    recipe = _Recipe(scene, rest, stands, movers, options, device)
+    recipe = _Recipe(scene, rest, stands, movers, options, device, offsets_s or {})
     saved = checkpoint.found(log)
     iteration = 0 if saved is None else recipe.take_up(saved)
     while iteration < iterations:
@@ -110,12 +114,12 @@ def train_movers(
             checkpoint.keep(iteration, iterations, log, recipe.state)
     log.close_row()
     recipe.finish()
-    still, moving, unshaded = map(recipe.held_error, (None, recipe.movers, recipe.movers.unshaded()))
     return Trained(
         replace(rest, canonical=recipe.stands, shell=None, metrics={}),
         recipe.movers,
-        10 * math.log10(still / moving),
-        10 * math.log10(still / unshaded),
+        recipe.errors(recipe.movers),
+        recipe.errors(recipe.movers.unshaded()),
+        recipe.errors(None),
         log.summary() | recipe.guard.summary(),
     )
 
@@ -127,16 +131,16 @@ def untrained_errors(
     motions: Sequence[Movers],
     options: MotionOptions,
     device: str,
-) -> list[float]:
-    """Mean squared errors on pixels held back where training begins, in a little fog, of motions of the same parts.
+) -> list[Errors]:
+    """Errors where training begins, in a little fog, of motions of the same parts, on pixels that it will leave out.
 
-    Arguments as `train_movers`'s.
+    Tracking, which gave these motions, has read the pixels. Arguments as `train_movers`'s.
     """
     recipe = _Recipe(scene, rest, stands, motions[0], options, device)
     moved = (
         replace(recipe.movers, rotations=m.rotations, shifts=m.shifts, stretches=m.stretches) for m in motions
     )
-    return [recipe.held_error(movers) for movers in moved]
+    return [recipe.errors(movers) for movers in moved]
 
 
 class _Recipe:
@@ -150,11 +154,13 @@ class _Recipe:
         movers: Movers,
         options: MotionOptions,
         device: str,
+        offsets_s: Mapping[str, float] | None = None,
     ) -> None:
         self.options, self.rest, self.device = options, rest, device
         self.rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
+        self.pictures = _retime(self.rays, scene, offsets_s or {})
         self.changing = changing_pixels(self.rays)
-        self.held_back = HeldBack(self.rays, self.changing)
+        self.left_out = LeftOut(self.rays, self.changing, self.pictures)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)
         self.sweep = RaySet(training(scene.static), scene.image_scale, scene.background, device)
         self.at_rest = DynamicModel(rest)
@@ -206,8 +212,8 @@ class _Recipe:
         """One iteration; returns the unweighted losses."""
         if iteration and iteration % OCCUPANCY_EVERY == 0:
             self._look()
-        chosen = torch.randperm(len(self.rays), generator=self.generator)[:PICTURES]
-        batch = self.held_back.without(
+        chosen = self.pictures[torch.randperm(len(self.pictures), generator=self.generator)[:PICTURES]]
+        batch = self.left_out.without(
             draw_with_importance(
                 self.rays, self.changing, self.options.together_rays, 1.0, chosen, self.generator
             )
@@ -294,15 +300,27 @@ class _Recipe:
             parameter.requires_grad_(False)
 
     @torch.no_grad()
-    def held_error(self, movers: Movers | None) -> float:
-        """Mean squared error of rays held back; None: if nothing moved."""
-        still, asked = DynamicModel(self.rest), (self.rays, self.held_back, self.around)
+    def errors(self, movers: Movers | None) -> Errors:
+        """Of pixels left out of training; None: if nothing moved."""
+        still, asked = DynamicModel(self.rest), (self.rays, self.left_out, self.around)
         if movers is None:
-            return held_error(*asked, lambda some: still.box_at_rest(some.rays_o, some.rays_d))
+            return errors_of(*asked, lambda some: still.box_at_rest(some.rays_o, some.rays_d))
         placed = movers.placed(self.rays.times)
-        return held_error(
+        return errors_of(
             *asked, lambda some: self._seen(some, torch.full_like(some.time, 0.5), movers, placed)
         )
+
+
+def _retime(rays: RaySet, scene: Scene, offsets_s: Mapping[str, float]) -> Tensor:
+    """Give training pictures the times of moved clocks; returns the numbers of those that are modelled then.
+
+    All keep their numbers, and so the pixels that are left out: trainings with other clocks are compared by them.
+    """
+    time = {(f.camera_name, f.index): f.time for f in retimed(scene, offsets_s).dynamic}
+    there = [(f.camera_name, f.index) in time for f in rays.frames]
+    times = [time.get((f.camera_name, f.index), f.time) or 0.0 for f in rays.frames]
+    rays.times = torch.tensor(times, dtype=rays.times.dtype, device=rays.times.device)
+    return torch.tensor(there).nonzero()[:, 0]
 
 
 def _weighted(parts: dict[str, Tensor]) -> Tensor:

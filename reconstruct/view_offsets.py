@@ -3,8 +3,11 @@
 Without sound such a clock may be known to a few pictures only, and where things move fast an error of one picture costs
 more than anything that is to be measured with the camera. One number is found, by where things are on their way:
 optical flow from what the model shows at a time to what the camera shows, along the flow from there to a moment later.
-No colours are compared, nothing else is fitted, and the model stays as it is.
+No colours are compared, nothing else is fitted, and the model stays as it is. Every other picture is asked, so that the
+others can be scored with it (`evaluate.py`).
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,7 +16,7 @@ from devrf.capture.picture_files import to_8_bits
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.flow.estimator import FlowEstimator
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.pictures import spread
+from devrf.reconstruct.pictures import in_two, spread
 from devrf.reconstruct.tracking.offsets import CLEAR, SIGMAS
 
 PICTURES = 12  # that are looked at, evenly
@@ -25,10 +28,21 @@ SETTLED = 0.05  # of the time between two pictures: less is no reason to look ag
 FEWEST_PIXELS, FEWEST_PICTURES = 30, 4  # that show something on its way
 
 
-def view_offset(
-    scene: Scene, model: DynamicModel, camera_name: str, estimator: FlowEstimator
-) -> float | None:
-    """Seconds by which a camera took its pictures later than the scene says; None where that is not clear.
+@dataclass(frozen=True)
+class ViewOffset:
+    """What was found of a camera's clock.
+
+    Attributes:
+        offset_s: Seconds by which it took its pictures later than the scene says; None where that is not clear.
+        why: Why there is none; empty where there is one.
+    """
+
+    offset_s: float | None
+    why: str = ""
+
+
+def view_offset(scene: Scene, model: DynamicModel, camera_name: str, estimator: FlowEstimator) -> ViewOffset:
+    """By how much later than the scene says a camera took its pictures, by those in even places.
 
     Args:
         scene: In the box frame, with the times that the model was trained with.
@@ -36,11 +50,11 @@ def view_offset(
         camera_name: Of the camera.
         estimator: Of optical flow.
     """
-    frames = sorted((f for f in scene.dynamic if f.camera_name == camera_name), key=lambda f: f.time or 0.0)
-    if len(frames) < FEWEST_PICTURES:
-        return None
-    gap = float(np.median(np.diff([f.time or 0.0 for f in frames])))
-    chosen = spread(frames, PICTURES)
+    even, odd = in_two([f for f in scene.dynamic if f.camera_name == camera_name])
+    if len(even) < FEWEST_PICTURES:
+        return ViewOffset(None, f"{len(even)} pictures to find it on, at least {FEWEST_PICTURES} are needed")
+    gap = float(np.median(np.diff(sorted(f.time or 0.0 for f in even + odd))))
+    chosen = spread(even, PICTURES)
     true = [load_image(f, scene.image_scale, scene.background) for f in chosen]
     offset, std = 0.0, np.inf
     for _ in range(ROUNDS):
@@ -50,15 +64,15 @@ def view_offset(
         )
         said = [late for late in every if late is not None]
         if len(said) < FEWEST_PICTURES:
-            return None
+            return ViewOffset(None, "too few pictures show something on its way")
         more = float(np.median(said))
         std = gap * 1.4826 * float(np.median(np.abs(np.array(said) - more))) / np.sqrt(len(said))
         offset += gap * more
         if abs(more) < SETTLED:
             break
     if abs(offset) <= max(CLEAR * gap, SIGMAS * std):
-        return None
-    return offset * (scene.t1_s - scene.t0_s)
+        return ViewOffset(None, "not clear: within chance of the clock as it was calibrated")
+    return ViewOffset(offset * (scene.t1_s - scene.t0_s))
 
 
 def _late(

@@ -30,6 +30,7 @@ from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.render import SIZES
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.pipelines.trained_scene import trained_scene
+from devrf.pipelines.unknown_clocks import unknown_clock_notes, unknown_clocks
 
 if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.model import DynamicModel
@@ -66,7 +67,8 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     plan = planned(asked, world, moves, SIZES[job.config.preset][2])
     _check_memory(job, plan)
     job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
-    notes = _state(job)
+    beside = {frame.camera_name for frame in plan.beside}
+    notes = _state(job) + unknown_clock_notes(unknown_clocks(job.run_dir), beside)
     for line in notes:
         talk.say(f"  note: {line}", style="yellow")
     made_from = made_from_of(job.run_dir, plan)

@@ -11,6 +11,7 @@ CONTRADICTED = "share of what moves whose flow the pictures contradict"
 MOVED = "largest offset of a clock, by what moves"
 MOVED_MS = 10.0  # at 1 m/s a centimetre
 MOSTLY_SHADED = 0.5  # of what movers gain; rolling things and cast shadows take a quarter
+TEST_CLOCK = "largest offset of a test camera's clock, by what moves"
 MENDED = (RESTARTED, CONTRADICTED, MOVED)
 """First words of the rows which say that training mended something: the cause is real, the loss may not be."""
 
@@ -98,5 +99,25 @@ def moved_clock_rows(offsets_s: Mapping[str, float]) -> list[HealthRow]:
             warn_above=MOVED_MS,
             remedy=f"Training took pictures later than sync says: {every}. Set the lag of {name} in "
             "calibration.sync.av_lag_s or true times in capture.timestamps, or clap near the middle of the scene.",
+        )
+    ]
+
+
+def unknown_clock_rows(clocks: Mapping[str, Mapping[str, Any]]) -> list[HealthRow]:
+    """Whether a test camera is filmed at other times than its clock says, which is not known well."""
+    offsets_s = {name: clock["offset_s"] for name, clock in clocks.items() if clock["offset_s"] is not None}
+    if not offsets_s:
+        return []
+    name = max(offsets_s, key=lambda camera: abs(offsets_s[camera]))
+    every = ", ".join(f"{camera} {1e3 * offset_s:+.0f} ms" for camera, offset_s in offsets_s.items())
+    return [
+        row(
+            f"{TEST_CLOCK} ({name})",
+            1e3 * abs(offsets_s[name]),
+            "ms",
+            warn_above=MOVED_MS,
+            remedy=f"The model shows what moves as these test cameras saw it later than sync says: {every}. Test views "
+            "are scored by the clocks as they were calibrated, and again with these (test_moving_retimed). Set the lag "
+            f"of {name} in calibration.sync.av_lag_s or true times in capture.timestamps, or record sound.",
         )
     ]

@@ -8,6 +8,7 @@ from typing import Any
 from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
 from devrf.pipelines.report.pictures import picture_uri, read_picture
 from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at, evenly
+from devrf.pipelines.unknown_clocks import unknown_clock_notes
 
 # two under the border, and those beside it
 WIDTHS = {"true": 720, "rendered": 720, "error": 400, "rest": 400}
@@ -57,7 +58,9 @@ def views(run: RunFolder) -> dict[str, Any]:
         middle = len(frames) // 2  # at the first time of a clip nothing has moved yet
         group = {"title": title, "frames": frames, "shown": middle, "total": len(found)}
         groups += [group | {"charts": [chart] if chart else []}] if found else []
-    return {"groups": groups}
+    clocks = run.object("deformation/metrics.json", "test_clocks")
+    shown = dict.fromkeys(str(v.row.get("camera")) for v in moving)
+    return {"groups": groups, "clocks": unknown_clock_notes(clocks, shown)}
 
 
 def _over_time(views: Sequence[View]) -> Chart | None:

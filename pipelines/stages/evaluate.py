@@ -19,6 +19,7 @@ from devrf.pipelines.health.rows import HealthRow, listed, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.pipelines.trained_scene import trained_scene
+from devrf.pipelines.unknown_clocks import unknown_clocks
 from devrf.reconstruct.confidence import Confidence
 from devrf.reconstruct.confidence_subject import subject_confidence
 from devrf.reconstruct.evaluate import LpipsNets, evaluate, motion_psnr
@@ -34,7 +35,7 @@ NEEDS_TEST_VIEWS = (TEST_VIEWS, GAIN, AGAINST_TRUTH)
 def run(context: StageContext) -> None:
     """Write `metrics.json` and `views/`."""
     config = context.config
-    scene = trained_scene(context.run_dir)  # clocks of test cameras are as they were
+    scene = trained_scene(context.run_dir)  # clocks of test cameras are as they were calibrated
     lpips = lpips_nets(config, context.scene_dir, context.device)
     model = load_trained(context.run_dir, context.device)
     confidence = Confidence(scene, model)
@@ -43,7 +44,7 @@ def run(context: StageContext) -> None:
     plain = model.unshaded()
     metrics = evaluate(
         scene, renderer(model), lpips, context.out, context.progress, confidence, masks,
-        None if plain is None else renderer(plain),
+        None if plain is None else renderer(plain), unknown_clocks(context.run_dir),
     )  # fmt: skip
     metrics["confidence"] |= subject_confidence(scene, confidence)
     metrics |= {
@@ -164,7 +165,8 @@ def health(metrics: dict[str, Any], scene: Scene) -> Iterator[HealthRow]:
             "dB",
             warn=LEAST_GAIN_DB,
             remedy="The motion field explains little: check that the clips begin as the sweep shows the "
-            "scene (capture.rest), the clocks, and that cameras stand around the subject.",
+            "scene (capture.rest), the clocks, and that cameras stand around the subject."
+            + _said_retimed(metrics),
         )
     limits = (("rig_rotation_deg", "°", 0.15), ("rig_position_percent", "%", 0.4), ("sync_ms", "ms", 1.0))
     for name, unit, limit in limits if "truth" in metrics else ():
@@ -176,6 +178,16 @@ def health(metrics: dict[str, Any], scene: Scene) -> Iterator[HealthRow]:
                 warn_above=limit,
                 remedy="The calibration of this simulated session is worse than usual.",
             )
+
+
+def _said_retimed(metrics: dict[str, Any]) -> str:
+    """What motion gains with the clock that was found of a test camera whose own is not known."""
+    retimed = metrics.get("test_moving_retimed", {"psnr": None})
+    if retimed["psnr"] is None:
+        return ""
+    gain = retimed["psnr"] - metrics["static_baseline"]["test_moving_retimed"]["psnr"]
+    offsets = [f"{name} {ms:+.0f} ms" for name, ms in retimed["offsets_ms"].items() if ms is not None]
+    return f" A test camera's clock is not known: with {', '.join(offsets)} it gains {gain:.1f} dB."
 
 
 def _read(path: Path) -> dict[str, Any]:

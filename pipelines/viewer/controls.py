@@ -84,6 +84,7 @@ class Controls:
             self._note = gui.add_markdown("", visible=False)
         with gui.add_folder("In the scene"):
             self.groups = {name: gui.add_checkbox(name, name in SHOWN_AT_FIRST) for name in GROUPS}
+            self._scene_note = gui.add_markdown("", visible=False)
         for name, box in self.groups.items():
             box.on_update(lambda event, name=name: show(name, event.target.value))
         gui.add_button("Back to the first view").on_click(lambda event: home())
@@ -106,6 +107,8 @@ class Controls:
         if self._parts.options != offered:
             self._parts.options = offered
         self._parts.visible = count > 0
+        self._scene_note.content = "  \n".join(f"_{note}_" for note in loaded.notes)
+        self._scene_note.visible = bool(loaded.notes)
 
     def choose(self, has_model: bool) -> None:
         """What stands in the scene at first: more where no picture can be seen."""

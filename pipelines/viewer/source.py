@@ -23,6 +23,7 @@ from devrf.pipelines.runner.lock import is_held
 from devrf.pipelines.stages import stage_names
 from devrf.pipelines.stamps.stamp import read_stamp, stamp_content, stamp_id
 from devrf.pipelines.training_checkpoint import checkpoint_path
+from devrf.pipelines.unknown_clocks import unknown_clock_notes
 
 if TYPE_CHECKING:  # they need torch
     from devrf.reconstruct.model import DynamicModel
@@ -62,6 +63,7 @@ class Loaded:
         scene: In the box frame, its clocks as the motion was trained with; None where there is none yet.
         model: None where there is none yet.
         points, colours: Of the sweep, box frame and [0, 255].
+        notes: On what is shown.
     """
 
     found: Found = Found()
@@ -69,6 +71,7 @@ class Loaded:
     model: "DynamicModel | None" = None
     points: Float32[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     colours: UInt8[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
+    notes: tuple[str, ...] = ()
 
 
 def look(run_dir: Path) -> Found:
@@ -110,7 +113,9 @@ def load(run_dir: Path, found: Found, device: str, before: Loaded) -> Loaded:
 
     metrics = run.object("deformation/metrics.json") if found.finished and found.motion else {}
     trained = as_trained(scene, metrics).in_box_frame()
-    return Loaded(found, trained, _model(run_dir, found, device), *points)
+    names = dict.fromkeys(f.camera_name for f in scene.dynamic)
+    notes = unknown_clock_notes(metrics.get("test_clocks", {}), names)
+    return Loaded(found, trained, _model(run_dir, found, device), *points, tuple(notes))
 
 
 def progress(run_dir: Path) -> dict[str, Any]:

@@ -1,9 +1,21 @@
-"""Of which cameras that are not trained on stage `deformation` learns the clock."""
+"""Clocks of cameras that are not trained on: which are asked, what becomes of them, and what is said."""
+
+import json
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from devrf.capture.scene import Scene
+from devrf.pipelines.health.training import unknown_clock_rows
+from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stages import deformation
 from devrf.pipelines.stages.deformation import unknown_test_clocks
+from devrf.pipelines.unknown_clocks import unknown_clock_notes, unknown_clocks
+from devrf.reconstruct.as_trained import as_trained
+from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.view_offsets import ViewOffset
 
 
 @pytest.mark.parametrize(
@@ -16,3 +28,58 @@ def test_only_clocks_that_are_not_known_are_learned(
         name: {"offset_s": 0.0, "std_s": std_s} for name in ("cam0", "cam1", "witness", "films nothing")
     }
     assert unknown_test_clocks(odd_scene, clocks) == unknown
+
+
+@pytest.mark.parametrize("tracked", [True, False])
+@pytest.mark.parametrize("found", [ViewOffset(0.028), ViewOffset(None, "not clear")])
+def test_what_is_found_moves_no_picture(
+    odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: ViewOffset, tracked: bool
+) -> None:
+    (tmp_path / "sync").mkdir()
+    clocks = {
+        "cameras": {"witness": {"offset_s": 0.0, "std_s": 0.03}, "cam0": {"offset_s": 0.0, "std_s": 0.0}}
+    }
+    (tmp_path / "sync" / "sync.json").write_text(json.dumps(clocks))
+    context = Mock(
+        spec=StageContext, progress=Mock(), run_dir=tmp_path, scene_dir=tmp_path, config=None, device="cpu"
+    )
+    monkeypatch.setattr(deformation, "flow_estimator", lambda *_: None)
+    monkeypatch.setattr(deformation, "view_offset", lambda *_: found)
+    model = Mock(spec=DynamicModel, movers=object() if tracked else None)
+    metrics: dict[str, Any] = {"clock_offsets_s": {"cam0": 0.01}}
+    told = deformation._test_clocks(context, odd_scene, model, metrics)
+    assert metrics == {"clock_offsets_s": {"cam0": 0.01}}
+    assert told == {
+        "witness": {"std_s": 0.03, "offset_s": found.offset_s, "why": found.why}
+        if tracked
+        else {"std_s": 0.03, "offset_s": None, "why": deformation.FIELD}
+    }
+    views = [[f for f in s.dynamic if f.camera_name == "witness"] for s in (
+        odd_scene, as_trained(odd_scene, metrics | {"test_clocks": told})
+    )]  # fmt: skip
+    assert views[0] == views[1] != []
+
+
+def test_offsets_of_test_clocks_are_said(tmp_path: Path) -> None:
+    clocks = {
+        "one": {"std_s": 0.03, "offset_s": 0.028, "why": ""},
+        "two": {"std_s": None, "offset_s": None, "why": "not clear"},
+    }
+    (row,) = unknown_clock_rows(clocks)
+    assert row.verdict == "warn" and row.value == pytest.approx(28) and row.check.endswith("(one)")
+    assert unknown_clock_rows({"two": clocks["two"]}) == [] == unknown_clock_rows({})
+    assert len(unknown_clock_notes(clocks, ["cam0", "two", "one"])) == 2
+    assert "+28 ms" in unknown_clock_notes(clocks, ["one"])[0]
+    assert unknown_clocks(tmp_path) == {}
+    (tmp_path / "deformation").mkdir()
+    (tmp_path / "deformation" / "metrics.json").write_text(json.dumps({"test_clocks": clocks}))
+    assert unknown_clocks(tmp_path) == clocks
+
+
+def test_pictures_of_a_test_camera_stay_whatever_its_clock(odd_scene: Scene) -> None:
+    """Training pictures beyond what is modelled go; a test camera's are shown at its end."""
+    moved = as_trained(odd_scene, {"clock_offsets_s": {name: 1.5 for name in ("cam0", "witness")}})
+    for name, all_stay in (("witness", True), ("cam0", False)):
+        before, after = ([f.index for f in s.dynamic if f.camera_name == name] for s in (odd_scene, moved))
+        assert (before == after) == all_stay, name
+    assert all(0 <= (f.time or 0.0) <= 1 for f in moved.dynamic)

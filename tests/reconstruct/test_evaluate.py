@@ -213,3 +213,60 @@ def test_lpips_where_weights_are_given(scene, tmp_path, data_dir):
     assert out["test_moving"]["lpips_alex"] is None and out["test_moving"]["why"]["lpips_alex"]
     small = evaluate(scene, model(0.0)[0], alex, tmp_path / "small")
     assert "64 pixels" in small["test"]["why"]["lpips_alex"]
+
+
+LATE = 0.2  # of the modelled time, two pictures, by which the witness takes its pictures later than its clock says
+
+
+@pytest.fixture
+def late(scene: Scene, tmp_path) -> Scene:
+    """The witness films eleven pictures; what it shows at its end is beyond the modelled time."""
+    camera, cam0 = scene.dynamic[0], scene.dynamic[len(TIMES)]
+    frames = []
+    for n, time in enumerate(np.linspace(0, 1, 11).tolist()):
+        path = tmp_path / f"late{n}.png"
+        cv2.imwrite(str(path), at(min(1.0, time + LATE if n else 0.0))[..., ::-1])
+        frames.append(replace(camera, path=path, index=n, time=time, time_s=2 * time))
+    return replace(scene, dynamic=(*frames[::-1], cam0))
+
+
+def found(offset_s: float | None, why: str = "") -> dict:
+    return {"witness": {"std_s": 0.1, "offset_s": offset_s, "why": why}}
+
+
+def test_a_clock_that_was_found_is_scored_beside_the_calibrated_one(late: Scene, tmp_path) -> None:
+    plain = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "a")
+    out = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "b", test_clocks=found(2 * LATE))
+    retimed, base = out.pop("test_moving_retimed"), out["static_baseline"].pop("test_moving_retimed")
+    rows = {row["index"]: row.pop("retimed", None) for row in out["per_view"] if row["camera"] == "witness"}
+    for result in (plain, out):
+        del result["render_fps"]
+    assert plain == out  # nothing that is by the calibrated clock depends on what was found
+    # Found on pictures 0, 2, 4, …, scored on the others; those beyond the modelled time at its end.
+    assert [n for n, row in rows.items() if row is not None] == [1, 3, 5, 7, 9]
+    assert [rows[n]["time"] for n in (1, 7, 9)] == pytest.approx([0.3, 0.9, 1.0])
+    assert retimed["psnr"] == pytest.approx(40, abs=1e-3) and retimed["views"] == 5
+    assert retimed["offsets_ms"] == {"witness": pytest.approx(400)} and retimed["lpips_vgg"] is None
+    odd = [row for row in plain["per_view"] if row["camera"] == "witness" and row["index"] % 2]
+    assert retimed["calibrated_psnr"] == pytest.approx(np.mean([row["moving"]["psnr"] for row in odd]))
+    still = [row["static_baseline"]["moving"]["psnr"] for row in odd]
+    assert base["psnr"] == pytest.approx(np.mean(still)) and base["views"] == 5
+    assert base["psnr"] < retimed["psnr"] - 10 and retimed["calibrated_psnr"] < retimed["psnr"] - 10
+
+
+def test_the_pictures_that_are_scored_do_not_depend_on_the_clock(late: Scene, tmp_path) -> None:
+    sets = []
+    for n, offset_s in enumerate((-1.5, 0.1, 1.5)):
+        out = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / str(n), test_clocks=found(offset_s))
+        sets.append([row["index"] for row in out["per_view"] if "retimed" in row])
+        assert out["test_moving"]["views"] == 10
+    assert sets[0] == sets[1] == sets[2] == [1, 3, 5, 7, 9]
+
+
+def test_a_clock_that_is_not_clear_has_no_second_number(late: Scene, tmp_path) -> None:
+    out = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "a", test_clocks=found(None, "not clear"))
+    for block in (out["test_moving_retimed"], out["static_baseline"]["test_moving_retimed"]):
+        assert block["psnr"] is None and "witness: not clear" in block["why"]["psnr"] and block["views"] == 0
+    assert out["test_moving_retimed"]["offsets_ms"] == {"witness": None}
+    known = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "b")
+    assert "test_moving_retimed" not in known and "test_moving_retimed" not in known["static_baseline"]

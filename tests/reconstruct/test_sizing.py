@@ -1,4 +1,4 @@
-"""No more model than a scene needs: voxels, key times, levels; pixels held back to tell."""
+"""No more model than a scene needs: voxels, key times, levels."""
 
 from dataclasses import replace
 
@@ -13,7 +13,6 @@ from devrf.capture.scene import load_image
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import grid_shape
-from devrf.reconstruct.held_back import ONE_IN, HeldBack, held
 from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing, rest_key_of
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.ndc import CUBE, Ndc
@@ -141,18 +140,6 @@ def test_flow_that_cannot_be_trusted_is_not_asked() -> None:
     flow.flow[4, :12] += 7.0  # half the picture is wrong, and known to be
     flow.valid[4, :12] = False
     assert needed_spacing({"cam0": flow}) == needed_spacing({"cam0": _clip(steps)})
-
-
-def test_held_back_pixels_are_never_trained_on(ball) -> None:
-    rays = RaySet(tuple(f for f in ball.scene.dynamic if f.split == "train"), 1.0, "white")
-    back, generator = HeldBack(rays, None), torch.Generator().manual_seed(0)
-    batch = rays.draw(20_000, generator)
-    kept = back.without(batch)
-    assert not held(kept.frame, kept.pixel).any()
-    assert len(kept.rgb) == pytest.approx(20_000 * (1 - 1 / ONE_IN), rel=0.01)
-    asked = back.rays_of(torch.tensor([0, 3]))
-    assert asked is not None and held(asked.frame, asked.pixel).all()
-    assert set(asked.frame.tolist()) == {0, 3} and len(asked.rgb) > 2 * 48 * 40 / ONE_IN / 2
 
 
 def _paused(ball):

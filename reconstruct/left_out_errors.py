@@ -1,0 +1,128 @@
+"""How well a model explains what moves, by pixels that training leaves out, and whether another does better.
+
+Pictures of one camera at neighbouring moments are alike, so a hundred of them are far fewer than a hundred
+measurements: one model does better than another where the interval of its mean gain (`paired.gain_over_time`) lies
+above 0.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from devrf.capture.scene import Scene
+from devrf.reconstruct.left_out import LeftOut
+from devrf.reconstruct.model import DynamicModel, Rendered, Seen
+from devrf.reconstruct.movers import Layered
+from devrf.reconstruct.moving_pixels import changing_pixels
+from devrf.reconstruct.paired import Gain, gain_over_time
+from devrf.reconstruct.pictures import training
+from devrf.reconstruct.rays import RayBatch, RaySet
+from devrf.reconstruct.surroundings import PixelSurroundings
+
+AT_ONCE = 1 << 13  # rays
+LEAST = 1e-12  # of a squared error: a picture that is met exactly has a PSNR, too
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Squared errors of pixels left out of training, by picture.
+
+    Attributes:
+        pictures: Camera and number in its clip.
+        time: In [0, 1].
+        mse: Mean over pixels and colours, of colours in [0, 1].
+        pixels: How many were asked.
+    """
+
+    pictures: tuple[tuple[str, int], ...]
+    time: Float[np.ndarray, " f"]
+    mse: Float[np.ndarray, " f"]
+    pixels: Int[np.ndarray, " f"]
+
+    @staticmethod
+    def of(rays: RaySet, asked: Int[torch.Tensor, " n"], squared: Float[torch.Tensor, " n"]) -> "Errors":
+        """Of the pictures of rays that were asked, and the squared errors of these rays."""
+        frame = asked.cpu().numpy()
+        total = np.bincount(frame, squared.cpu().numpy(), len(rays))
+        pixels = np.bincount(frame, minlength=len(rays))
+        there = np.flatnonzero(pixels)
+        return Errors(
+            tuple((rays.frames[n].camera_name, rays.frames[n].index) for n in there.tolist()),
+            rays.times.cpu().numpy()[there].astype(float),
+            np.maximum(total[there] / pixels[there], LEAST),
+            pixels[there],
+        )
+
+    @property
+    def mean(self) -> float:
+        """Mean squared error of all pixels."""
+        return float(np.average(self.mse, weights=self.pixels))
+
+    def gain_db(self, other: "Errors") -> float:
+        """By how many dB the mean squared error of all pixels is smaller than another's."""
+        return 10 * math.log10(other.mean / self.mean)
+
+    def gain_over(self, other: "Errors") -> Gain:
+        """By how many dB pictures are explained better than by another, with its interval; of those of both.
+
+        Raises:
+            ValueError: They have no picture in common.
+        """
+        place = {picture: n for n, picture in enumerate(other.pictures)}
+        mine = [n for n, picture in enumerate(self.pictures) if picture in place]
+        theirs = [place[self.pictures[n]] for n in mine]
+        if not mine:
+            raise ValueError("errors of no picture in common cannot be compared")
+        two = (-10 * np.log10(mse) for mse in (self.mse[mine], other.mse[theirs]))
+        with_it, without = (psnr.tolist() for psnr in two)
+        return gain_over_time(with_it, without, other.time[theirs].tolist())
+
+
+def gain_text(gain: Gain) -> str:
+    """A gain with what chance leaves open."""
+    if gain.half is None:
+        return f"{gain.mean:+.2f} dB, of too few moments to tell it from chance"
+    return f"{gain.mean:+.2f} ± {gain.half:.2f} dB"
+
+
+def errors_in_motion(scene: Scene, model: DynamicModel, device: str) -> Errors:
+    """Errors of a model of motion.
+
+    Args:
+        scene: In the box frame; its moving cameras that are trained on are asked.
+        model: Trained on it, these pixels left out.
+        device: cpu or cuda.
+    """
+    rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
+    around = PixelSurroundings(DynamicModel(model.rest), rays)
+    left_out = LeftOut(rays, changing_pixels(rays))
+    return errors_of(rays, left_out, around, lambda some: model.box_at(some.rays_o, some.rays_d, some.time))
+
+
+@torch.no_grad()
+def errors_of(
+    rays: RaySet,
+    left_out: LeftOut,
+    around: PixelSurroundings,
+    box: Callable[[RayBatch], Rendered | Seen | Layered],
+) -> Errors:
+    """Errors of the pictures that `left_out` asks.
+
+    Args:
+        rays: The training pictures.
+        left_out: Pixels of these.
+        around: What their pixels see beside the box.
+        box: What rays see in it.
+    """
+    batch, squared = left_out.rays_of(left_out.asked()), []
+    assert batch is not None
+    for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
+        some = rays.at(frame, pixel)
+        seen = box(some)
+        drawn = around.at(frame, pixel).compose(seen.rgb, seen.left)
+        squared.append(((drawn - some.rgb).double() ** 2).mean(1))
+    return Errors.of(rays, batch.frame, torch.cat(squared))
