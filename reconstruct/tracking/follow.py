@@ -34,7 +34,7 @@ class Tracks:
         times: Moments in the scene's time of [0, 1], rising and evenly spaced [t].
         xyz: Positions [t, p, 3], in the box frame.
         lost: Whether pictures show something else there [t, p]: the position is a guess.
-        offsets: By how much later each film was taken than its times say, in the same time [c].
+        offsets: By how much later each film was taken than its times say, as it was followed, in the same time [c].
     """
 
     times: Float[np.ndarray, " t"]
@@ -99,13 +99,12 @@ def follow_both_ways(
         return [tracks]
     again = tracks
     for n in range(MOST_AGAIN):  # by nodes: parts that were found with wrong clocks are wrong ones
-        known = offsets
-        again, seen = followed(graph, known, f"{n + 1} times again")
+        again, seen = followed(graph, offsets, f"{n + 1} times again")
         offsets = offsets_to_follow(seen, gap)
-        if np.abs(offsets - known).max() < SETTLED * gap:
+        if not offsets.any() or np.abs(offsets - again.offsets).max() < SETTLED * gap:
             break
     runs.write()
-    return [tracks, replace(again, offsets=offsets)] if offsets.any() else [tracks]
+    return [tracks, again] if offsets.any() else [tracks]
 
 
 def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, " t"], int]:

@@ -16,13 +16,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.film import Film
-from devrf.reconstruct.tracking.graph import Graph, Pose
+from devrf.reconstruct.tracking.graph import Graph, Pose, pieces
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.runs import Arrays
@@ -65,7 +63,7 @@ class Follower:
         self.poses = [Pose.rest(len(graph.nodes))]
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
         self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
-        self.things = _pieces(graph.edges, len(graph.nodes))
+        self.things = pieces(graph.edges, len(graph.nodes))
         self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
         self.nodes_lost = [self.lost_nodes]  # at each moment
         self.sought = np.full(len(graph.nodes), -SEEK_EVERY)  # moment at which a node was last sought in vain
@@ -284,7 +282,7 @@ class Follower:
         """Lost nodes that are neighbours, or of one part."""
         first = np.unique(self.graph.parts, return_index=True)[1][self.graph.parts]
         pairs = np.vstack([self.graph.edges, np.stack([np.arange(len(lost)), first], 1)])
-        piece = _pieces(pairs[lost[pairs].all(1)], len(lost))
+        piece = pieces(pairs[lost[pairs].all(1)], len(lost))
         for number in np.unique(piece[lost]):
             yield np.flatnonzero(lost & (piece == number))
 
@@ -337,12 +335,6 @@ class Follower:
         taken = nodes[group] @ rotation.T + shift
         off, way = (np.linalg.norm(there[group] - x, axis=1).mean() for x in (taken, nodes[group]))
         return near if off < ALONG * way else near[:0]
-
-
-def _pieces(pairs: Int[np.ndarray, "k 2"], nodes: int) -> Int[np.ndarray, " n"]:
-    """The number of the piece of each node, where pairs hang together."""
-    links = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(nodes, nodes))
-    return connected_components(links, directed=False)[1]
 
 
 def _more(liked: Float[np.ndarray, " k"], before: Float[np.ndarray, " k"]) -> float:

@@ -33,9 +33,16 @@ def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     # Positive definite, and parts meet only their neighbours: no pivots, few of the zeros are filled.
     factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     move = factors.solve(-(by_parts.T @ sum(J.T @ residual for J, residual in terms))).reshape(-1, 6)
-    turn, shift = move[:, :3], move[:, 3:]
-    too_far = max(1.0, np.abs(shift).max() / LONGEST_STEP, np.abs(turn).max() / LARGEST_TURN)
-    return graph.moved(pose, turn / too_far, shift / too_far)
+    move = _shortened(move, graph.pieces())
+    return graph.moved(pose, move[:, :3], move[:, 3:])
+
+
+def _shortened(move: Float[np.ndarray, "m 6"], piece: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 6"]:
+    """Turns and shifts of parts, each piece's by its own largest: what flies off does not hold back what it left."""
+    largest = np.abs(move / np.repeat([LARGEST_TURN, LONGEST_STEP], 3)).max(1)
+    too_far = np.ones(piece.max() + 1)
+    np.maximum.at(too_far, piece, largest)
+    return move / too_far[piece, None]
 
 
 Term = tuple[bsr_matrix, np.ndarray]

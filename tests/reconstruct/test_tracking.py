@@ -407,6 +407,36 @@ def test_with_other_clocks_everything_is_followed_by_nodes(films: list[Film], mo
     assert [offsets.tolist() for _, offsets in by] == [[0, 0, 0], [0, 0, 0], late.tolist()]
 
 
+@pytest.mark.parametrize(
+    ("told", "with_which"),
+    [
+        ([0.5, 0.8, 0.9], [0.0, 0.8]),  # not settled: what was found last was followed by nothing
+        ([0.5, 0.51], [0.0, 0.5]),
+        ([0.5, 0.0], [0.0]),  # with other clocks they seem to be right
+    ],
+)
+def test_offsets_are_those_that_tracks_were_followed_with(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch, told: list[float], with_which: list[float]
+) -> None:
+    surface, _ = on_cards()
+    said, followed = iter(told), []
+
+    def both_ways(surface, graph, films, times, middle, offsets, *others):
+        followed.append(offsets)
+        where = np.tile(surface.xyz, (len(times), 1, 1))
+        return Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}
+
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow._both_ways", both_ways)
+    monkeypatch.setattr(
+        "devrf.reconstruct.tracking.follow.offsets_to_follow",
+        lambda seen, gap: GAP * np.array([next(said), 0, 0]),
+    )
+    found = follow_both_ways(surface, Graph(surface), films, 0.5)
+    assert [one.offsets[0] / GAP for one in found] == pytest.approx(with_which)
+    assert all(any(one.offsets is offsets for offsets in followed) for one in found)
+    assert len(followed) == len(told)
+
+
 @pytest.mark.full
 def test_tracking_by_parts_that_was_killed_goes_on_where_it_was(films: list[Film], tmp_path: Path) -> None:
     surface, card = on_cards()
@@ -699,6 +729,22 @@ def test_a_step_is_held_to_its_longest() -> None:
     pulls = Pulls(np.tile(1e4 * np.eye(3), (len(far), 1, 1)), far)
     pose = step(graph, Pose.rest(len(graph.nodes)), Pose.rest(len(graph.nodes)), pulls)
     assert np.abs(pose.shifts).max() == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize("whole", [False, True], ids=["nodes", "parts"])
+def test_what_goes_far_does_not_shorten_the_steps_of_what_hangs_elsewhere(whole: bool) -> None:
+    surface, card = on_cards()
+    graph = Graph(surface).in_parts(card) if whole else Graph(surface)
+    goal = surface.xyz + np.array([[0.05, 0.0, 0.0], [2.0, 0.0, 0.0]])[card]
+    pose = rest = Pose.rest(len(graph.nodes))
+    for _ in range(4):
+        points = graph.points(pose)
+        pose = step(
+            graph, pose, rest, Pulls(np.tile(1e4 * np.eye(3), (len(card), 1, 1)), 1e4 * (points - goal))
+        )
+    gone = (graph.points(pose) - surface.xyz)[:, 0]
+    assert gone[card == 0] == pytest.approx(0.05, abs=1e-3)
+    assert gone[card == 1] == pytest.approx(4 * 0.08, rel=0.05)
 
 
 def test_rigid_motions_are_recovered_exactly() -> None:
