@@ -64,21 +64,33 @@ class Shot:
         self.points: Int[np.ndarray, " m"] = none
 
     def come(
-        self, xyz: np.ndarray, normals: np.ndarray, spacing: float, known: np.ndarray, far: bool = False
+        self,
+        begin: int,
+        xyz: np.ndarray,
+        normals: np.ndarray,
+        spacing: float,
+        known: np.ndarray,
+        far: bool = False,
     ) -> None:
-        """Where optical flow brings `known` points from the picture before, in which they are at `xyz`.
+        """Where optical flow brings `known` points from picture `begin`, in which they are at `xyz`, to this one.
 
-        `far`: by flow that finds longer ways and is less exact. What else was known of the picture is forgotten.
+        It goes from picture to picture. `far`: by flow that finds longer ways and is less exact. What else was known of
+        the picture is forgotten.
         """
         self.points = self.points[:0]
         sight = Sight(self.film, xyz, normals, spacing)
         points = np.flatnonzero(sight.seen & known)
         if len(points) < FEWEST_SEEN:
             return
-        shown = self.film.wide if far else self.film.sharp
-        flow, missed = self.film.flow(shown(self.n - 1), shown(self.n))
-        at = sight.at[points]
-        self.came = points, at + sampled(flow, at), np.exp(-(sampled(missed, at) ** 2))
+        film, at, off = self.film, sight.at[points], np.zeros(len(points), np.float32)
+        high = film.wide if far else film.sharp
+        before = film.for_flow(film.picture(begin), high(begin))
+        for n in range(begin + 1, self.n + 1):
+            now = film.for_flow(film.picture(n), high(n))
+            flow, missed = film.flow(before, now)
+            off += sampled(missed, at) ** 2
+            at, before = at + sampled(flow, at), now
+        self.came = points, at, np.exp(-off)
 
     def look(
         self,
@@ -106,10 +118,12 @@ class Shot:
             first = np.maximum(at.min(0) - MARGIN_PX, 0).astype(int)
             last = (at.max(0) + MARGIN_PX).astype(int)
             cut = np.s_[first[1] : last[1], first[0] : last[0]]
-        drawn = self.film.high_pass(self.templates.draw(sight, surface.rgb.astype(np.float32))[cut])
-        real = np.ascontiguousarray(self.film.sharp(self.n)[cut])
+        film, picture = self.film, self.templates.draw(sight, surface.rgb.astype(np.float32))[cut]
+        drawn, real = film.high_pass(picture), np.ascontiguousarray(film.sharp(self.n)[cut])
         self.at, inside = at, at - first
-        flow, missed = self.film.flow(drawn, real)
+        flow, missed = film.flow(
+            film.for_flow(picture, drawn), film.for_flow(film.picture(self.n)[cut], real)
+        )
         self.flow = at + sampled(flow, inside), np.exp(-(sampled(missed, inside) ** 2))
         self.drawn = sampled(blurred(drawn, LIKE_PX), inside)
         self.contrasts = []
