@@ -20,7 +20,7 @@ from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
-from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import (
@@ -35,6 +35,7 @@ from devrf.reconstruct.tracking.moving_points import (
 )
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
+from devrf.reconstruct.tracking.shot import Shot
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.solve import Pulls, step
@@ -242,6 +243,100 @@ def test_what_goes_far_from_one_picture_to_the_next_is_found(tmp_path: Path, mon
         follower.go_on(1)
     wrong = np.linalg.norm(follower.xyz[-1] - true, axis=-1)
     assert (np.median(wrong) < 0.01) == far and follower.lost[-1].any() != far
+
+
+@pytest.mark.parametrize(
+    ("seconds", "a_second", "apart_s"),
+    [(3, 25, 0.04), (12, 25, 0.04), (24, 25, 0.08), (60, 25, 0.08), (60, 10, 0.1)],
+)
+def test_moments_of_long_clips_are_farther_apart_but_never_far(
+    films: list[Film], seconds: float, a_second: float, apart_s: float
+) -> None:
+    taken = np.linspace(0, seconds, round(seconds * a_second) + 1)
+    ends = [replace(films[0].frames[0], time_s=float(taken[n])) for n in (0, -1)]
+    times, before = moments([replace(films[0], frames=ends, times=taken / seconds)], 0.0)
+    assert before == 0 and len(times) == pytest.approx(1 + seconds / apart_s, abs=1)
+
+
+def test_flow_is_followed_from_the_picture_at_the_moment_before(films: list[Film]) -> None:
+    """Three pictures lie between two moments: where points are in the last of them nothing has said yet."""
+    surface, card = on_cards()
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, Graph(surface), films, 0.5 + 3 * GAP * np.arange(2), clocks, pool)
+        shots = follower.shots(1)
+        follower._come(shots, 1)
+    true = true_tracks(surface, card, np.array([0.5 + 3 * GAP]))[0]
+    for shot in shots:
+        points, at, weight = shot.came
+        there, rest = (shot.film.camera.project(xyz[points]) for xyz in (true, surface.xyz))
+        off, way = (np.median(np.linalg.norm(x - there, axis=1)) for x in (at, rest))
+        assert shot.n == REST + 3 and off < 0.2 * way
+
+
+def test_a_camera_that_films_seldom_says_where_points_come_from_at_its_own_time(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its last picture lies several moments back, where everything stood."""
+    surface, card = on_cards()
+    seldom = [*films[:2], replace(films[2], frames=films[2].frames[::4], times=films[2].times[::4])]
+    true = true_tracks(surface, card, np.linspace(0.5, 1, 5))
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, Graph(surface), seldom, np.linspace(0.5, 1, 5), clocks, pool)
+        follower.xyz = list(true[:4])
+        assert np.allclose(follower._where(0.5), true[0]) and np.allclose(follower._where(0.4), true[0])
+        assert np.allclose(follower._where(0.5 + 1.5 * GAP), (true[1] + true[2]) / 2)
+        assert np.allclose(follower._where(0.5 + 3.5 * GAP), 1.5 * true[3] - 0.5 * true[2])
+        asked: dict[int, tuple[int, np.ndarray]] = {}
+        monkeypatch.setattr(
+            Shot, "come", lambda shot, begin, xyz, *_: asked.update({shot.camera: (begin, xyz)})
+        )
+        follower._come(follower.shots(4), 4)
+    assert [asked[camera][0] for camera in range(3)] == [REST + 3, REST + 3, 1]
+    assert np.allclose(asked[0][1], true[3]) and np.allclose(asked[2][1], true[0])
+
+
+class Remembers:
+    """A method of flow that says that nothing moves, and remembers what it was shown."""
+
+    name, parallel = "remembers", True
+
+    def __init__(self) -> None:
+        self.pictures: list[np.ndarray] = []
+
+    def estimate(self, image0, image1):
+        self.pictures += [image0, image1]
+        return np.zeros((*image0.shape[:-1], 2), np.float32)
+
+
+@pytest.mark.parametrize("contrast", [False, True])
+def test_methods_of_flow_see_colours_but_those_that_ask_for_contrast(
+    films: list[Film], contrast: bool
+) -> None:
+    """Of the pictures that were taken and of those that are drawn."""
+    surface, _ = on_cards()
+    method = Remembers()
+    if contrast:
+        method.takes_contrast = True
+    taken = [replace(film, estimator=method) for film in films]
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, Graph(surface), taken, np.linspace(0.5, 1, 5), clocks, pool)
+        shots = follower.shots(1)
+        follower._come(shots, 1)
+        came, method.pictures = method.pictures, []
+        follower.found(shots, follower.poses[0], ((1.2, 0.0),))
+    for shown in (came, method.pictures):
+        assert len(shown) == 12 and all(picture.dtype == np.uint8 for picture in shown)
+        assert all(np.ptp(picture, axis=-1).any() != contrast for picture in shown)
+    if not contrast:
+        before, now = (load_image(films[0].frames[n], 1.0, "shell") for n in (REST, REST + 1))
+        assert np.array_equal(came[0], before) and np.array_equal(came[1], now)
+        drawn, true = method.pictures[:2]
+        assert np.array_equal(true, now)
+        on_card = np.abs(drawn.astype(int) - before).max(-1) < 30  # beside what stands, a grey plate
+        assert 0.2 < on_card.mean() < 0.9
 
 
 def gone_as_one(graph: Graph, lost: np.ndarray) -> tuple[Pose, Pose]:
