@@ -106,8 +106,8 @@ class MotionOptions:
             (`checked_flow.py`; False: all valid ones alike, as published).
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
-        together: Iterations in which what stands and parts that were tracked are trained (`train_movers.py`), more where
-            motion lasts longer than MEANT_S; 0: motion is a field, as published.
+        together: Iterations in which what stands and parts that were tracked are trained (`train_movers.py`), of motion
+            of MEANT_S or less; 0: motion is a field, as published.
         together_rays: Rays of each.
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.

@@ -27,13 +27,15 @@ class Pulls(NamedTuple):
 def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     """The pose after one step."""
     terms = [_data(graph, pose, pulls), _rigid(graph, pose), _expected(pose, expected)]
-    by_parts = graph.by_parts(pose)
-    A = csc_matrix(by_parts.T @ sum(csc_matrix(J.T @ J) for J, _ in terms) @ by_parts)
+    A = csc_matrix(sum(csc_matrix(J.T @ J) for J, _ in terms))
+    b = np.sum([J.T @ residual for J, residual in terms], axis=0)
+    if not np.array_equal(graph.parts, np.arange(len(graph.nodes))):  # else each node moves by itself
+        by_parts = graph.by_parts(pose)
+        A, b = csc_matrix(by_parts.T @ A @ by_parts), by_parts.T @ b
     A.setdiag(A.diagonal() * (1 + DAMPED) + LEAST)
     # Positive definite, and parts meet only their neighbours: no pivots, few of the zeros are filled.
     factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    move = factors.solve(-(by_parts.T @ sum(J.T @ residual for J, residual in terms))).reshape(-1, 6)
-    move = _shortened(move, graph.pieces())
+    move = _shortened(factors.solve(-b).reshape(-1, 6), graph.pieces())
     return graph.moved(pose, move[:, :3], move[:, 3:])
 
 
