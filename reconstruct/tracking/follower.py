@@ -221,21 +221,9 @@ class Follower:
 
         What is not found by that is looked for again only some moments later: looking takes long.
         """
-        new = self.lost_nodes & ~self.nodes_lost[-1]
-        due = moment - self.sought >= SEEK_EVERY
-        import os
-
-        V = os.environ.get("TRK", "A")
-        go = due if V == "A" else due or new.sum() >= FEWEST_LOST
-        if go and self.lost_nodes.sum() >= FEWEST_LOST:
+        if moment - self.sought >= SEEK_EVERY and self.lost_nodes.sum() >= FEWEST_LOST:
             asked = self._points(self.lost_nodes)
-            gs = []
-            if due or V == "B":
-                gs += [lambda: self.carried(found, self.lost_nodes), lambda: self.poses[-1]]
-            if new.any():
-                gs += [lambda: self._gone_far(shots, expected, moment)]
-            for g in gs:
-                guess = g()
+            for guess in self._guesses(shots, found, expected, moment):
                 begin = _with(found, guess, np.flatnonzero(self.lost_nodes))
                 other = self.found(shots, begin, FARTHER, asked)
                 liked = self.likeness(shots, other)
@@ -246,15 +234,19 @@ class Follower:
                 self.lost_nodes = self._lost(likeness)
                 if not self.lost_nodes.any():
                     break
-            if self.lost_nodes.any() and due:
+            if self.lost_nodes.any():
                 self.sought = moment
         return self._carried_if_better(shots, found, likeness)
 
     def _guesses(self, shots: Sequence[Shot], found: Pose, expected: Pose, moment: int) -> Iterator[Pose]:
-        """Where what is lost may be, each when it is asked for: carried along, where it was, gone far."""
+        """Where what is lost may be, each when it is asked for: carried along, where it was, gone far.
+
+        How far anything went only flow from where it was tells: nothing of what was lost before.
+        """
         yield self.carried(found, self.lost_nodes)
         yield self.poses[-1]
-        yield self._gone_far(shots, expected, moment)
+        if (self.lost_nodes & ~self.nodes_lost[-1]).any():
+            yield self._gone_far(shots, expected, moment)
 
     def _gone_far(self, shots: Sequence[Shot], expected: Pose, moment: int) -> Pose:
         """The pose to which everything comes from the pictures before, if it came far."""

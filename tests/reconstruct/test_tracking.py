@@ -302,8 +302,8 @@ class Remembers:
 
     name, parallel = "remembers", True
 
-    def __init__(self) -> None:
-        self.pictures: list[np.ndarray] = []
+    def __init__(self, contrast: bool) -> None:
+        self.takes_contrast, self.pictures = contrast, list[np.ndarray]()
 
     def estimate(self, image0, image1):
         self.pictures += [image0, image1]
@@ -316,9 +316,7 @@ def test_methods_of_flow_see_colours_but_those_that_ask_for_contrast(
 ) -> None:
     """Of the pictures that were taken and of those that are drawn."""
     surface, _ = on_cards()
-    method = Remembers()
-    if contrast:
-        method.takes_contrast = True
+    method = Remembers(contrast)
     taken = [replace(film, estimator=method) for film in films]
     with ThreadPoolExecutor(1) as pool:
         clocks = Offsets(np.zeros(3), surface.xyz)
