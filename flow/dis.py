@@ -21,6 +21,7 @@ class DisFlow:
     """OpenCV's DIS; see `devrf.flow.estimator.FlowEstimator`."""
 
     name, parallel = "dis", True
+    takes_contrast = True  # it compares brightness as it is, so that a shade that comes is motion to it
 
     def __init__(self) -> None:
         self._own = threading.local()  # OpenCV's object holds buffers: one for each thread

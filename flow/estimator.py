@@ -36,6 +36,15 @@ class FlowEstimator(Protocol):
         ...
 
 
+def takes_contrast(estimator: FlowEstimator) -> bool:
+    """Whether a method is better shown the contrast of brightness, in grey, where light changes between two pictures.
+
+    A method says so by an attribute of this name. One that has none is shown pictures in their colours, as those are by
+    which methods are learned.
+    """
+    return getattr(estimator, "takes_contrast", False)
+
+
 def create_estimator(method: str, weights: Path | None = None, device: str = "cpu") -> FlowEstimator:
     """The estimator called `method`.
 

@@ -12,6 +12,9 @@ PresetName = Literal["tiny", "fast", "reference"]
 # longest side of the published objects, world units; the motion's rates are meant for it
 REFERENCE_EXTENT = 2.5
 STEP_AT_REST = 0.5  # along rays, in voxels of the scene at rest: as published; no preset gains by another
+# Seconds of motion that `together` and the moments of shading are meant for, as the captures have that they were chosen
+# on; where motion lasts longer both are more in proportion, up to so many times.
+MEANT_S, MOST_LONGER = 3.0, 8.0
 CHUNK = 1 << 14  # rays rendered at once: the march's table stays below a hundred megabytes
 
 
@@ -103,8 +106,8 @@ class MotionOptions:
             (`checked_flow.py`; False: all valid ones alike, as published).
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
         fine_tuning_given: It is kept, whatever it gains.
-        together: Iterations in which what stands and parts that were tracked are trained (`train_movers.py`);
-            0: motion is a field, as published.
+        together: Iterations in which what stands and parts that were tracked are trained (`train_movers.py`), of motion
+            of MEANT_S or less; 0: motion is a field, as published.
         together_rays: Rays of each.
         stepsize: Step along rays, in voxels of the scene at rest.
         alpha_threshold, weight_threshold: Samples at or below are dropped.
@@ -250,6 +253,11 @@ PUBLISHED_FORWARD: dict[str, Any] = {
     "opacity": 0.0045,
     "variation": 1e-5,
 }
+
+
+def longer(seconds: float) -> float:
+    """How many times more there is to learn of motion that lasts so long than of MEANT_S."""
+    return min(max(1.0, seconds / MEANT_S), MOST_LONGER)
 
 
 def resized(canonical: CanonicalOptions, ratio: float) -> CanonicalOptions:

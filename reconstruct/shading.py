@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-LONGEST, LEAST, KEYS = 33, 4, 14  # cells along the longest side; along the shortest; moments
+LONGEST, LEAST = 33, 4  # cells along the longest side; along the shortest
+KEYS = 14  # moments, of motion that is no longer than the numbers of training are meant for
 EVEN, SMALL = 2.0, 0.1  # weights of squared differences of neighbours and of squared values
 
 
@@ -37,11 +38,14 @@ class Shading(torch.nn.Module):
         self.register_buffer("_box", aabb.to(grid.device), persistent=False)
 
     @staticmethod
-    def none(aabb: Float[Tensor, "2 3"], t_first: float, t_last: float, device: torch.device) -> "Shading":
-        """A factor of one everywhere."""
+    def none(
+        aabb: Float[Tensor, "2 3"], t_first: float, t_last: float, device: torch.device, longer: float = 1.0
+    ) -> "Shading":
+        """A factor of one everywhere; for motion that is so many times `longer` than KEYS are meant for."""
         sides = (aabb[1] - aabb[0]).tolist()
         shape = [max(LEAST, round(LONGEST * side / max(sides))) for side in sides]
-        return Shading(aabb, t_first, t_last, torch.zeros(2, KEYS, *shape, device=device))
+        keys = 1 + round(longer * (KEYS - 1))
+        return Shading(aabb, t_first, t_last, torch.zeros(2, keys, *shape, device=device))
 
     def at(
         self, layer: Int[Tensor, " S"], x: Float[Tensor, "S 3"], time: Float[Tensor, " S"]

@@ -28,7 +28,7 @@ from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_los
 from devrf.reconstruct.model import Around, DynamicModel
 from devrf.reconstruct.movers import NO_GRADS, Grads, Layered, Movers, Placed, render_layered
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
-from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.options import MotionOptions, longer
 from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.rest_model import RestModel
@@ -82,7 +82,7 @@ def train_movers(
     checkpoint: Checkpoint = NOWHERE,
     offsets_s: Mapping[str, float] | None = None,
 ) -> Trained:
-    """Train for `together` iterations.
+    """Train for `together` iterations, for more where motion lasts longer than these are meant for.
 
     Args:
         scene: In the box frame; its moving cameras are trained on.
@@ -97,8 +97,9 @@ def train_movers(
     Raises:
         ReconstructError: The loss diverges with small steps, too.
     """
-    log, iterations = TrainingLog(device, LOG_EVERY), options.together
+    log = TrainingLog(device, LOG_EVERY)
     recipe = _Recipe(scene, rest, stands, movers, options, device, offsets_s or {})
+    iterations = recipe.iterations
     saved = checkpoint.found(log)
     iteration = 0 if saved is None else recipe.take_up(saved)
     while iteration < iterations:
@@ -156,7 +157,10 @@ class _Recipe:
         device: str,
         offsets_s: Mapping[str, float] | None = None,
     ) -> None:
+        times = movers.times
+        more = longer(float(times[-1] - times[0]) * (scene.t1_s - scene.t0_s))
         self.options, self.rest, self.device = options, rest, device
+        self.iterations = round(more * options.together)
         self.rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
         self.pictures = _retime(self.rays, scene, offsets_s or {})
         self.changing = changing_pixels(self.rays)
@@ -172,8 +176,8 @@ class _Recipe:
         for parameter in net.parameters():
             parameter.requires_grad_(True)
         self.stands, own = _own(stands, net), _own(movers.canonical, net)
-        times = movers.times
-        self.shading = Shading.none(own.aabb, float(times[0]), float(times[-1]), own.density.device)
+        ends = float(times[0]), float(times[-1])
+        self.shading = Shading.none(own.aabb, *ends, own.density.device, more)
         self.movers = replace(movers, canonical=own, shading=self.shading)
         self.guard = Guard()
         self._begin()
@@ -223,7 +227,7 @@ class _Recipe:
         batch = replace(batch, frame=torch.zeros_like(batch.frame))
         still = self._losses(batch, self.in_sweep, self.at_rest.around(batch.rays_o, batch.rays_d))
         (_weighted(parts) + SWEEP * _weighted(still) + self.shading.penalty()).backward()
-        decay = self.guard.rate * self.options.learning_rate * 0.1 ** (iteration / self.options.together)
+        decay = self.guard.rate * self.options.learning_rate * 0.1 ** (iteration / self.iterations)
         for name, grid in self.grids.items():
             grid.update(decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
         places = LR_PLACES * self.stands.voxel

@@ -64,13 +64,14 @@ def solid(model: DynamicModel) -> DynamicModel:
     return DynamicModel(without(model.rest), model.motion, in_motion, chunk=model.chunk)
 
 
-def poses(scene: Scene) -> list[Camera]:
+def poses(scene: Scene, of_sweep: int = MOST_OF_SWEEP) -> list[Camera]:
     """Cameras to look with, small: training poses spread over the sweep, and those of the moving cameras.
 
     Args:
         scene: In the box frame.
+        of_sweep: Most poses of the sweep.
     """
-    chosen = [f.camera for f in spread(training(scene.static), MOST_OF_SWEEP)]
+    chosen = [f.camera for f in spread(training(scene.static), of_sweep)]
     chosen += spread(list(fixed_cameras(scene).values()), MOST_FIXED)
     return [c.scaled(min(scene.image_scale, np.sqrt(MOST_PIXELS / (c.width * c.height)))) for c in chosen]
 

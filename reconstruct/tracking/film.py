@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from devrf.capture.camera import Camera
+from devrf.capture.picture_files import to_8_bits
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.flow.consistency import both_ways
-from devrf.flow.estimator import FlowEstimator
+from devrf.flow.estimator import FlowEstimator, takes_contrast
 from devrf.reconstruct.still_picture import standing_clips
 
 SIDE = 512  # pixels: the longest side of pictures that are tracked; finer ones gain less than they cost
@@ -76,9 +77,15 @@ class Film:
         logarithm = np.log(picture + DARK)
         return blurred(logarithm, FINE_PX * scale) - blurred(logarithm, coarse_px * scale)
 
-    def flow(self, one: Picture, other: Picture) -> tuple[np.ndarray, np.ndarray]:
-        """Flow between two high-pass pictures, and by how many pixels the flow back misses."""
-        flow, missed, _ = both_ways(self.estimator, _grey(one), _grey(other))
+    def for_flow(self, picture: Picture, high: Picture) -> UInt8[np.ndarray, "h w 3"]:
+        """What the estimator of flow is shown of a picture: itself, or its `high`-pass in grey."""
+        return _grey(high) if takes_contrast(self.estimator) else to_8_bits(picture)
+
+    def flow(
+        self, one: UInt8[np.ndarray, "h w 3"], other: UInt8[np.ndarray, "h w 3"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Flow between two pictures made `for_flow`, and by how many pixels the flow back misses."""
+        flow, missed, _ = both_ways(self.estimator, one, other)
         return flow, missed
 
     def nearest(self, time: float, within: float) -> int | None:

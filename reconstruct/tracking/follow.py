@@ -23,7 +23,9 @@ from devrf.reconstruct.training_log import TrainingLog
 
 MOST_AGAIN = 2  # times that everything is followed with other clocks
 SETTLED = 0.05  # of the time between moments: offsets that change by less are known
-MOST_MOMENTS = 300  # of a long clip, of which not every picture is looked at
+# Of a long clip not every picture is looked at. What is thrown leaves the straight way between moments by a centimetre
+# where these are LONGEST_GAP_S apart, so longer clips have more of them.
+MOST_MOMENTS, LONGEST_GAP_S = 300, 0.08
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Tracks:
         times: Moments in the scene's time of [0, 1], rising and evenly spaced [t].
         xyz: Positions [t, p, 3], in the box frame.
         lost: Whether pictures show something else there [t, p]: the position is a guess.
-        offsets: By how much later each film was taken than its times say, in the same time [c].
+        offsets: By how much later each film was taken than its times say, as it was followed, in the same time [c].
     """
 
     times: Float[np.ndarray, " t"]
@@ -99,13 +101,12 @@ def follow_both_ways(
         return [tracks]
     again = tracks
     for n in range(MOST_AGAIN):  # by nodes: parts that were found with wrong clocks are wrong ones
-        known = offsets
-        again, seen = followed(graph, known, f"{n + 1} times again")
+        again, seen = followed(graph, offsets, f"{n + 1} times again")
         offsets = offsets_to_follow(seen, gap)
-        if np.abs(offsets - known).max() < SETTLED * gap:
+        if not offsets.any() or np.abs(offsets - again.offsets).max() < SETTLED * gap:
             break
     runs.write()
-    return [tracks, replace(again, offsets=offsets)] if offsets.any() else [tracks]
+    return [tracks, again] if offsets.any() else [tracks]
 
 
 def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, " t"], int]:
@@ -116,11 +117,19 @@ def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, 
     gap = min(float(np.median(np.diff(film.times))) for film in films)
     last = max(float(film.times[-1]) for film in films)
     first = min(float(film.times[0]) for film in films)
-    gap = max(gap, (last - first) / MOST_MOMENTS)
+    gap = max(gap, min((last - first) / MOST_MOMENTS, LONGEST_GAP_S * _second(films)))
     after, before = (
         max(0, int(np.ceil(span / gap - 1e-6))) for span in (last - rest_time, rest_time - first)
     )
     return rest_time + gap * np.arange(-before, after + 1), before
+
+
+def _second(films: Sequence[Film]) -> float:
+    """How long a second is in the scene's time."""
+    longest = max(films, key=lambda film: np.ptp(film.times))
+    first_s, last_s = longest.frames[0].time_s, longest.frames[-1].time_s
+    assert first_s is not None and last_s is not None  # they are no pictures of a sweep
+    return float(longest.times[-1] - longest.times[0]) / (last_s - first_s)
 
 
 def _both_ways(
@@ -150,7 +159,7 @@ def _both_ways(
     back = [film.backwards() for film in films]
     here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell, runs, f"{name}, back")
     xyz, lost = (np.concatenate([a[:0:-1], b]) for a, b in zip(here, there, strict=True))
-    return Tracks(times, xyz.astype(np.float32), lost, offsets), seen
+    return Tracks(times, xyz, lost, offsets), seen
 
 
 def _follow(
@@ -174,4 +183,4 @@ def _follow(
                 follower.go_on(moment)
                 runs.moved_on(run, len(times) - 1 - moment, follower.state)
             tell()
-    return np.stack(follower.xyz), np.stack(follower.lost)
+    return np.stack([xyz.astype(np.float32) for xyz in follower.xyz]), np.stack(follower.lost)

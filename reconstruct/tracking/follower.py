@@ -16,13 +16,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.film import Film
-from devrf.reconstruct.tracking.graph import Graph, Pose
+from devrf.reconstruct.tracking.graph import Graph, Pose, pieces
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.runs import Arrays
@@ -65,10 +63,10 @@ class Follower:
         self.poses = [Pose.rest(len(graph.nodes))]
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
         self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
-        self.things = _pieces(graph.edges, len(graph.nodes))
+        self.things = pieces(graph.edges, len(graph.nodes))
         self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
         self.nodes_lost = [self.lost_nodes]  # at each moment
-        self.sought = np.full(len(graph.nodes), -SEEK_EVERY)  # moment at which a node was last sought in vain
+        self.sought = -SEEK_EVERY  # moment at which what is lost was last sought in vain
         self.xyz, self.lost = [surface.xyz], [np.zeros(len(surface), dtype=bool)]
         self.templates = [Templates(film, len(surface)) for film in films]
         for known in self.templates:
@@ -101,6 +99,8 @@ class Follower:
         self.poses.append(pose)
         self.nodes_lost.append(lost)
         self.xyz.append(self.graph.points(pose))
+        if len(self.xyz) > 2:  # moments are worked out from the two before: the others are only results
+            self.xyz[-3] = self.xyz[-3].astype(np.float32)
         self.lost.append(self._points(lost))
 
     def state(self) -> Arrays:
@@ -109,7 +109,7 @@ class Follower:
             "rotations": np.stack([pose.rotations for pose in self.poses]),
             "shifts": np.stack([pose.shifts for pose in self.poses]),
             "lost": np.stack(self.nodes_lost),
-            "sought": self.sought,
+            "sought": np.array(self.sought),
         }
         for camera, known in enumerate(self.templates):
             out |= {f"picture {camera}": known.picture, f"at {camera}": known.at}
@@ -120,7 +120,7 @@ class Follower:
         after = (state[name][1:] for name in ("rotations", "shifts", "lost"))
         for rotations, shifts, lost in zip(*after, strict=True):
             self._come_to(Pose(rotations, shifts), lost)
-        self.lost_nodes, self.sought = self.nodes_lost[-1], state["sought"].copy()
+        self.lost_nodes, self.sought = self.nodes_lost[-1], int(state["sought"])
         for camera, known in enumerate(self.templates):
             known.picture, known.at = state[f"picture {camera}"].copy(), state[f"at {camera}"].copy()
         self.offsets.take_up(state)
@@ -136,19 +136,30 @@ class Follower:
         return out
 
     def _come(self, shots: Sequence[Shot], moment: int, far: bool = False) -> None:
-        """Where points come from the pictures before; `far`: by flow that finds longer ways."""
-        now = self.xyz[-1]
-        was = self.xyz[-2] if len(self.xyz) > 1 else now
-        normals = self.graph.turned(self.poses[-1], self.surface.normals)
+        """Where points come from pictures at the moment before, or from the last ones; `far`: by flow that finds longer
+        ways."""
+        normals, known = self.graph.turned(self.poses[-1], self.surface.normals), ~self.lost[-1]
         begun = []
         for shot in shots:
-            if shot.n > 0:
-                taken = float(shot.film.times[shot.n - 1]) + self.offsets.now[shot.camera]
-                share = 1 + (taken - float(self.times[moment - 1])) / self.gap
-                at = was + share * (now - was)
-                known = ~self.lost[-1]
-                begun.append(self.pool.submit(shot.come, at, normals, self.surface.spacing, known, far))
+            late = self.offsets.now[shot.camera]
+            at_moment = shot.film.nearest(self.times[moment - 1] - late, self.gap / 2 + 1e-9)
+            begin = shot.n - 1 if at_moment is None else min(at_moment, shot.n - 1)
+            if begin >= 0:
+                at = self._where(float(shot.film.times[begin]) + late)
+                begun.append(
+                    self.pool.submit(shot.come, begin, at, normals, self.surface.spacing, known, far)
+                )
         _each(begun)
+
+    def _where(self, time: float) -> Float[np.ndarray, "p 3"]:
+        """All points at a time that has been, or soon comes: on the way between the two moments around it."""
+        first = int(np.ceil((time - self.times[0]) / self.gap - 1e-6)) - 1
+        first = min(max(first, 0), max(len(self.xyz) - 2, 0))
+        was, now = self.xyz[first], self.xyz[min(first + 1, len(self.xyz) - 1)]
+        share = max(
+            0.0, 1 + (time - float(self.times[first + 1])) / self.gap
+        )  # before the first they were at rest
+        return was + share * (now - was)
 
     def found(
         self,
@@ -210,8 +221,7 @@ class Follower:
 
         What is not found by that is looked for again only some moments later: looking takes long.
         """
-        wanted = self.lost_nodes & (moment - self.sought >= SEEK_EVERY)
-        if wanted.sum() >= FEWEST_LOST:
+        if moment - self.sought >= SEEK_EVERY and self.lost_nodes.sum() >= FEWEST_LOST:
             asked = self._points(self.lost_nodes)
             for guess in self._guesses(shots, found, expected, moment):
                 begin = _with(found, guess, np.flatnonzero(self.lost_nodes))
@@ -224,14 +234,19 @@ class Follower:
                 self.lost_nodes = self._lost(likeness)
                 if not self.lost_nodes.any():
                     break
-            self.sought[self.lost_nodes & wanted] = moment
+            if self.lost_nodes.any():
+                self.sought = moment
         return self._carried_if_better(shots, found, likeness)
 
     def _guesses(self, shots: Sequence[Shot], found: Pose, expected: Pose, moment: int) -> Iterator[Pose]:
-        """Where what is lost may be, each when it is asked for: carried along, where it was, gone far."""
+        """Where what is lost may be, each when it is asked for: carried along, where it was, gone far.
+
+        How far anything went only flow from where it was tells: nothing of what was lost before.
+        """
         yield self.carried(found, self.lost_nodes)
         yield self.poses[-1]
-        yield self._gone_far(shots, expected, moment)
+        if (self.lost_nodes & ~self.nodes_lost[-1]).any():
+            yield self._gone_far(shots, expected, moment)
 
     def _gone_far(self, shots: Sequence[Shot], expected: Pose, moment: int) -> Pose:
         """The pose to which everything comes from the pictures before, if it came far."""
@@ -284,7 +299,7 @@ class Follower:
         """Lost nodes that are neighbours, or of one part."""
         first = np.unique(self.graph.parts, return_index=True)[1][self.graph.parts]
         pairs = np.vstack([self.graph.edges, np.stack([np.arange(len(lost)), first], 1)])
-        piece = _pieces(pairs[lost[pairs].all(1)], len(lost))
+        piece = pieces(pairs[lost[pairs].all(1)], len(lost))
         for number in np.unique(piece[lost]):
             yield np.flatnonzero(lost & (piece == number))
 
@@ -337,12 +352,6 @@ class Follower:
         taken = nodes[group] @ rotation.T + shift
         off, way = (np.linalg.norm(there[group] - x, axis=1).mean() for x in (taken, nodes[group]))
         return near if off < ALONG * way else near[:0]
-
-
-def _pieces(pairs: Int[np.ndarray, "k 2"], nodes: int) -> Int[np.ndarray, " n"]:
-    """The number of the piece of each node, where pairs hang together."""
-    links = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(nodes, nodes))
-    return connected_components(links, directed=False)[1]
 
 
 def _more(liked: Float[np.ndarray, " k"], before: Float[np.ndarray, " k"]) -> float:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import bsr_matrix, csr_matrix
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -89,6 +89,10 @@ class Graph:
         out.parts = np.unique(votes.argmax(1), return_inverse=True)[1]
         return out
 
+    def pieces(self) -> Int[np.ndarray, " m"]:
+        """The number of the piece of each part: parts that edges join, one after the other."""
+        return pieces(self.parts[self.edges], int(self.parts.max()) + 1)
+
     def rigid(self, pose: Pose) -> Pose:
         """The pose with nodes of a part, which have one rotation, placed as they are at rest around their middle."""
         arms = self.nodes - self._middles(self.nodes)
@@ -142,6 +146,12 @@ def skew(v: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def pieces(pairs: Int[np.ndarray, "k 2"], number: int) -> Int[np.ndarray, " n"]:
+    """The number of the piece of each of so many things, where pairs hang together."""
+    links = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(number, number))
+    return connected_components(links, directed=False)[1]
 
 
 def _links(surface: Surface) -> csr_matrix:

@@ -27,15 +27,24 @@ class Pulls(NamedTuple):
 def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     """The pose after one step."""
     terms = [_data(graph, pose, pulls), _rigid(graph, pose), _expected(pose, expected)]
-    by_parts = graph.by_parts(pose)
-    A = csc_matrix(by_parts.T @ sum(csc_matrix(J.T @ J) for J, _ in terms) @ by_parts)
+    A = csc_matrix(sum(csc_matrix(J.T @ J) for J, _ in terms))
+    b = np.sum([J.T @ residual for J, residual in terms], axis=0)
+    if not np.array_equal(graph.parts, np.arange(len(graph.nodes))):  # else each node moves by itself
+        by_parts = graph.by_parts(pose)
+        A, b = csc_matrix(by_parts.T @ A @ by_parts), by_parts.T @ b
     A.setdiag(A.diagonal() * (1 + DAMPED) + LEAST)
     # Positive definite, and parts meet only their neighbours: no pivots, few of the zeros are filled.
     factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    move = factors.solve(-(by_parts.T @ sum(J.T @ residual for J, residual in terms))).reshape(-1, 6)
-    turn, shift = move[:, :3], move[:, 3:]
-    too_far = max(1.0, np.abs(shift).max() / LONGEST_STEP, np.abs(turn).max() / LARGEST_TURN)
-    return graph.moved(pose, turn / too_far, shift / too_far)
+    move = _shortened(factors.solve(-b).reshape(-1, 6), graph.pieces())
+    return graph.moved(pose, move[:, :3], move[:, 3:])
+
+
+def _shortened(move: Float[np.ndarray, "m 6"], piece: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 6"]:
+    """Turns and shifts of parts, each piece's by its own largest: what flies off does not hold back what it left."""
+    largest = np.abs(move / np.repeat([LARGEST_TURN, LONGEST_STEP], 3)).max(1)
+    too_far = np.ones(piece.max() + 1)
+    np.maximum.at(too_far, piece, largest)
+    return move / too_far[piece, None]
 
 
 Term = tuple[bsr_matrix, np.ndarray]

@@ -13,6 +13,7 @@ from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.rest_model import RestModel
 
 SPACING = 1.2  # voxels between points: with 1.5 small things are lost
+OF_SWEEP = 24  # poses of the sweep: by 8 a third of what lies between other things is seen by none
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ def views_at_rest(scene: Scene, rest: RestModel) -> list[SeenView]:
         rest: Its model.
     """
     model = DynamicModel(rest).alone("black")
-    return [look(model, camera, None) for camera in poses(scene)]
+    return [look(model, camera, None) for camera in poses(scene, OF_SWEEP)]
 
 
 def surface_at_rest(views: Sequence[SeenView], rest: RestModel) -> Surface:

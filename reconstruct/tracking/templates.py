@@ -39,23 +39,29 @@ class Templates:
         """Numbers of the points that are seen now and have a template."""
         return np.flatnonzero(sight.seen & (self.picture != NONE))
 
-    def draw(self, sight: Sight, rgb: np.ndarray) -> Picture:
-        """The picture that the film should show: points by their templates, or colours, before what stands."""
-        picture = self.film.plate.copy()
-        height, width = sight.ids.shape
-        y, x = np.nonzero(sight.ids >= 0)
-        point = sight.ids[y, x]
+    def draw(self, sight: Sight, rgb: np.ndarray, cut: tuple[slice, slice]) -> Picture:
+        """A piece of the picture that the film should show: points by their templates, or colours, before what stands.
+
+        Args:
+            sight: Of the points.
+            rgb: Their colours, of which those count that have no template.
+            cut: Rows and columns of the piece.
+        """
+        picture, ids = self.film.plate[cut].copy(), sight.ids[cut]
+        corner = np.array([cut[1].start, cut[0].start])
+        y, x = np.nonzero(ids >= 0)
+        point = ids[y, x]
         source = self.picture[point]
         picture[y[source == NONE], x[source == NONE]] = rgb[point[source == NONE]]
         for n in np.unique(source[source != NONE]):
             mine = source == n
             row, column, who = y[mine], x[mine], point[mine]
-            drawn = np.zeros((height, width), np.float32)
+            drawn = np.zeros(ids.shape, np.float32)
             drawn[row, column] = 1
-            way = np.zeros((height, width, 2), np.float32)
+            way = np.zeros((*ids.shape, 2), np.float32)
             way[row, column] = self.at[who] - sight.at[who]
             way = blurred(way, EVEN_PX)[row, column]
             way /= np.maximum(blurred(drawn, EVEN_PX)[row, column], 1e-6)[:, None]
-            at = (np.stack([column, row], 1) + way).astype(np.float32)
+            at = (np.stack([column, row], 1) + corner + way).astype(np.float32)
             picture[row, column] = fetched(self.film.picture(int(n)), at)
         return picture

@@ -13,7 +13,7 @@ from tests.refused import refused
 from devrf.capture.errors import InputError
 from devrf.flow.consistency import both_ways, endpoint_error
 from devrf.flow.dis import DisFlow
-from devrf.flow.estimator import FlowEstimator, create_estimator
+from devrf.flow.estimator import FlowEstimator, create_estimator, takes_contrast
 from devrf.flow.methods import methods
 
 UNKNOWN = 1e9  # Middlebury marks pixels without truth by larger values
@@ -99,6 +99,10 @@ class Still:
 
     def estimate(self, image0, image1):
         return np.zeros((*image0.shape[:-1], 2), np.float32)
+
+
+def test_dis_takes_contrast_and_methods_that_say_nothing_take_colours():
+    assert takes_contrast(DisFlow()) and not takes_contrast(Still())
 
 
 def no_estimator(weights, device):

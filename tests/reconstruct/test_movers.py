@@ -41,7 +41,7 @@ from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.train_deformation import DOUBTED_DB, train_deformation
-from devrf.reconstruct.train_movers import Trained, train_movers, untrained_errors
+from devrf.reconstruct.train_movers import Trained, _Recipe, train_movers, untrained_errors
 
 TURN = np.array([0.2, -0.3, 0.4])
 STRETCH = np.array([[1.25, 0.08, 0.0], [0.08, 0.85, -0.05], [0.0, -0.05, 1.1]])
@@ -357,6 +357,18 @@ def test_training_together_gains_over_nothing_moves(session: Scene, rest: RestMo
     assert torch.equal(model.movers.canonical.density, before)  # nobody else's is changed
     assert not torch.equal(trained.movers.canonical.density, before)
     assert trained.movers.shading is not None and not trained.movers.shading.grid.requires_grad
+
+
+@pytest.mark.parametrize(
+    ("seconds", "iterations", "keys"), [(2.0, 30, 14), (3.0, 30, 14), (12.0, 120, 53), (600.0, 240, 105)]
+)
+def test_what_moves_for_longer_is_trained_for_longer_and_has_more_moments_of_shading(
+    session: Scene, rest: RestModel, seconds: float, iterations: int, keys: int
+) -> None:
+    stands, own, labels = halves(rest)
+    scene = replace(session, t0_s=1.0, t1_s=1.0 + seconds)
+    recipe = _Recipe(scene, rest, stands, still(own, labels), OPTIONS, "cpu")
+    assert recipe.iterations == iterations and recipe.shading.grid.shape[1] == keys
 
 
 @pytest.mark.full

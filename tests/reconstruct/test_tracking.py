@@ -20,7 +20,7 @@ from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.tracking.film import Film, fetched
-from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.moving_points import (
@@ -35,6 +35,7 @@ from devrf.reconstruct.tracking.moving_points import (
 )
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
+from devrf.reconstruct.tracking.shot import Shot
 from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.solve import Pulls, step
@@ -244,6 +245,122 @@ def test_what_goes_far_from_one_picture_to_the_next_is_found(tmp_path: Path, mon
     assert (np.median(wrong) < 0.01) == far and follower.lost[-1].any() != far
 
 
+@pytest.mark.parametrize(
+    ("seconds", "a_second", "apart_s"),
+    [(3, 25, 0.04), (12, 25, 0.04), (24, 25, 0.08), (60, 25, 0.08), (60, 10, 0.1)],
+)
+def test_moments_of_long_clips_are_farther_apart_but_never_far(
+    films: list[Film], seconds: float, a_second: float, apart_s: float
+) -> None:
+    taken = np.linspace(0, seconds, round(seconds * a_second) + 1)
+    ends = [replace(films[0].frames[0], time_s=float(taken[n])) for n in (0, -1)]
+    times, before = moments([replace(films[0], frames=ends, times=taken / seconds)], 0.0)
+    assert before == 0 and len(times) == pytest.approx(1 + seconds / apart_s, abs=1)
+
+
+def test_flow_is_followed_from_the_picture_at_the_moment_before(films: list[Film]) -> None:
+    """Three pictures lie between two moments: where points are in the last of them nothing has said yet."""
+    surface, card = on_cards()
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, Graph(surface), films, 0.5 + 3 * GAP * np.arange(2), clocks, pool)
+        shots = follower.shots(1)
+        follower._come(shots, 1)
+    true = true_tracks(surface, card, np.array([0.5 + 3 * GAP]))[0]
+    for shot in shots:
+        points, at, weight = shot.came
+        there, rest = (shot.film.camera.project(xyz[points]) for xyz in (true, surface.xyz))
+        off, way = (np.median(np.linalg.norm(x - there, axis=1)) for x in (at, rest))
+        assert shot.n == REST + 3 and off < 0.2 * way
+
+
+def test_a_camera_that_films_seldom_says_where_points_come_from_at_its_own_time(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its last picture lies several moments back, where everything stood."""
+    surface, card = on_cards()
+    seldom = [*films[:2], replace(films[2], frames=films[2].frames[::4], times=films[2].times[::4])]
+    true = true_tracks(surface, card, np.linspace(0.5, 1, 5))
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, Graph(surface), seldom, np.linspace(0.5, 1, 5), clocks, pool)
+        follower.xyz = list(true[:4])
+        assert np.allclose(follower._where(0.5), true[0]) and np.allclose(follower._where(0.4), true[0])
+        assert np.allclose(follower._where(0.5 + 1.5 * GAP), (true[1] + true[2]) / 2)
+        assert np.allclose(follower._where(0.5 + 3.5 * GAP), 1.5 * true[3] - 0.5 * true[2])
+        asked: dict[int, tuple[int, np.ndarray]] = {}
+        monkeypatch.setattr(
+            Shot, "come", lambda shot, begin, xyz, *_: asked.update({shot.camera: (begin, xyz)})
+        )
+        follower._come(follower.shots(4), 4)
+    assert [asked[camera][0] for camera in range(3)] == [REST + 3, REST + 3, 1]
+    assert np.allclose(asked[0][1], true[3]) and np.allclose(asked[2][1], true[0])
+
+
+class Remembers:
+    """A method of flow that says that nothing moves, and remembers what it was shown."""
+
+    name, parallel = "remembers", True
+
+    def __init__(self, contrast: bool) -> None:
+        self.takes_contrast, self.pictures = contrast, list[np.ndarray]()
+
+    def estimate(self, image0, image1):
+        self.pictures += [image0, image1]
+        return np.zeros((*image0.shape[:-1], 2), np.float32)
+
+
+@pytest.mark.parametrize("contrast", [False, True])
+def test_methods_of_flow_see_colours_but_those_that_ask_for_contrast(
+    films: list[Film], contrast: bool
+) -> None:
+    """Of the pictures that were taken and of those that are drawn."""
+    surface, _ = on_cards()
+    method = Remembers(contrast)
+    taken = [replace(film, estimator=method) for film in films]
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, Graph(surface), taken, np.linspace(0.5, 1, 5), clocks, pool)
+        shots = follower.shots(1)
+        follower._come(shots, 1)
+        came, method.pictures = method.pictures, []
+        follower.found(shots, follower.poses[0], ((1.2, 0.0),))
+    for shown in (came, method.pictures):
+        assert len(shown) == 12 and all(picture.dtype == np.uint8 for picture in shown)
+        assert all(np.ptp(picture, axis=-1).any() != contrast for picture in shown)
+    if not contrast:
+        before, now = (load_image(films[0].frames[n], 1.0, "shell") for n in (REST, REST + 1))
+        sight = Sight(films[0], surface.xyz, surface.normals, surface.spacing)
+        _, cut = shots[0]._around(sight.at[sight.seen])
+        assert np.array_equal(came[0], before[cut]) and np.array_equal(came[1], now[cut])
+        _, cut = shots[0]._around(shots[0].at)
+        drawn, true = method.pictures[:2]
+        assert np.array_equal(true, now[cut])
+        on_card = np.abs(drawn.astype(int) - before[cut]).max(-1) < 30  # beside what stands, a grey plate
+        assert 0.2 < on_card.mean() < 0.9
+
+
+def test_all_that_is_lost_is_looked_for_at_the_same_moments(films: list[Film], monkeypatch) -> None:
+    """Two more nodes are lost at each moment; how far things went is only asked of what was not lost before."""
+    surface, _ = on_cards()
+    graph = Graph(surface)
+    lost, looked, far = np.zeros(len(graph.nodes), dtype=bool), [], []
+    with ThreadPoolExecutor(1) as pool:
+        clocks = Offsets(np.zeros(3), surface.xyz)
+        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
+        rest, known = follower.poses[0], np.full(len(lost), np.nan)
+        monkeypatch.setattr(follower, "likeness", lambda shots, pose: known)
+        monkeypatch.setattr(follower, "found", lambda *_: looked.append(moment) or rest)
+        monkeypatch.setattr(follower, "_gone_far", lambda *_: far.append(moment) or rest)
+        for moment in range(1, 11):
+            if moment != 9:  # the one at which nothing more is lost
+                lost[2 * (moment - 1) : 2 * moment] = True
+            follower.lost_nodes = lost.copy()
+            found = follower._found_again([], rest, rest, known, moment)
+            follower._come_to(found, follower.lost_nodes)
+    assert sorted(set(looked)) == [1, 5, 9] and far == [1, 5]
+
+
 def gone_as_one(graph: Graph, lost: np.ndarray) -> tuple[Pose, Pose]:
     """A pose in which all nodes have turned and gone together, and the same with some of them elsewhere."""
     turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
@@ -405,6 +522,36 @@ def test_with_other_clocks_everything_is_followed_by_nodes(films: list[Film], mo
     assert [one.offsets.tolist() for one in found] == [[0, 0, 0], late.tolist()]
     assert [which for which, _ in by] == [graph, parts, graph]
     assert [offsets.tolist() for _, offsets in by] == [[0, 0, 0], [0, 0, 0], late.tolist()]
+
+
+@pytest.mark.parametrize(
+    ("told", "with_which"),
+    [
+        ([0.5, 0.8, 0.9], [0.0, 0.8]),  # not settled: what was found last was followed by nothing
+        ([0.5, 0.51], [0.0, 0.5]),
+        ([0.5, 0.0], [0.0]),  # with other clocks they seem to be right
+    ],
+)
+def test_offsets_are_those_that_tracks_were_followed_with(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch, told: list[float], with_which: list[float]
+) -> None:
+    surface, _ = on_cards()
+    said, followed = iter(told), []
+
+    def both_ways(surface, graph, films, times, middle, offsets, *others):
+        followed.append(offsets)
+        where = np.tile(surface.xyz, (len(times), 1, 1))
+        return Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}
+
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow._both_ways", both_ways)
+    monkeypatch.setattr(
+        "devrf.reconstruct.tracking.follow.offsets_to_follow",
+        lambda seen, gap: GAP * np.array([next(said), 0, 0]),
+    )
+    found = follow_both_ways(surface, Graph(surface), films, 0.5)
+    assert [one.offsets[0] / GAP for one in found] == pytest.approx(with_which)
+    assert all(any(one.offsets is offsets for offsets in followed) for one in found)
+    assert len(followed) == len(told)
 
 
 @pytest.mark.full
@@ -699,6 +846,22 @@ def test_a_step_is_held_to_its_longest() -> None:
     pulls = Pulls(np.tile(1e4 * np.eye(3), (len(far), 1, 1)), far)
     pose = step(graph, Pose.rest(len(graph.nodes)), Pose.rest(len(graph.nodes)), pulls)
     assert np.abs(pose.shifts).max() == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize("whole", [False, True], ids=["nodes", "parts"])
+def test_what_goes_far_does_not_shorten_the_steps_of_what_hangs_elsewhere(whole: bool) -> None:
+    surface, card = on_cards()
+    graph = Graph(surface).in_parts(card) if whole else Graph(surface)
+    goal = surface.xyz + np.array([[0.05, 0.0, 0.0], [2.0, 0.0, 0.0]])[card]
+    pose = rest = Pose.rest(len(graph.nodes))
+    for _ in range(4):
+        points = graph.points(pose)
+        pose = step(
+            graph, pose, rest, Pulls(np.tile(1e4 * np.eye(3), (len(card), 1, 1)), 1e4 * (points - goal))
+        )
+    gone = (graph.points(pose) - surface.xyz)[:, 0]
+    assert gone[card == 0] == pytest.approx(0.05, abs=1e-3)
+    assert gone[card == 1] == pytest.approx(4 * 0.08, rel=0.05)
 
 
 def test_rigid_motions_are_recovered_exactly() -> None:
