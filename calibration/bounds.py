@@ -20,6 +20,7 @@ from devrf.capture.view_axes import closest_point
 
 LEVEL_SPREAD = 0.3  # right axes that span a plane this clearly give the up direction
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
+SEARCH = 2.0
 STEPS = 21  # in which a box that is too large is drawn in
 HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
 VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which every side has as margin
@@ -90,7 +91,7 @@ def scene_bounds(
         raise ValueError("bounds of a scene without cameras")
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
-    hull = MaskHull.of(masks, focus, box_from_up)
+    hull = MaskHull.of(masks, _searched(points, focus, fixed or cameras, box_from_up), box_from_up)
     if hull is not None:
         lo, hi = _no_larger(hull, stretches, [mask.camera for mask in masks], box_from_up, across)
         basis = f"visual hulls of {shown} in {len(masks)} cameras"
@@ -140,6 +141,22 @@ def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
             centres + axes * float(np.linalg.norm(centres - centres.mean(0), axis=1).mean() + 1e-9)
         ).mean(0)
     return focus
+
+
+def _searched(
+    points: Float[np.ndarray, "n 3"],
+    focus: Float[np.ndarray, "3"],
+    cameras: Sequence[Camera],
+    box_from_up: Float[np.ndarray, "3 3"],
+) -> Float[np.ndarray, "2 3"]:
+    """Corners of where something may move: as far as the sweep's points go, where there are any."""
+    distance = float(np.median([np.linalg.norm(c.centre - focus) for c in cameras]))
+    widest = box_from_up @ focus + SEARCH * distance * np.array([[-1.0], [1.0]])
+    if len(points) < 30:
+        return widest
+    ends = np.percentile(points @ box_from_up.T, POINT_PERCENTILES, axis=0)
+    ends += 0.05 * np.ptp(ends, axis=0) * np.array([[-1.0], [1.0]])
+    return np.stack([np.maximum(widest[0], ends[0]), np.minimum(widest[1], ends[1])])
 
 
 def _no_larger(

@@ -29,6 +29,19 @@ OVERLAP = 1.5  # cells, from the middle of the last one: in pictures they are sq
 MOST_REACH_PX = 12  # half the side of a cell in a picture
 
 
+SUPPORT = True
+PASSES = True, True, False, False
+
+
+def _grid(region: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Middles of cubic cells that fill a region, and their side."""
+    sides = np.ptp(region, axis=0)
+    cell = float(np.cbrt(sides.prod())) / GRID
+    count = np.ceil(sides / cell).astype(int)
+    axes = [low + cell * (np.arange(n) + 0.5) for low, n in zip(region[0], count, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), cell
+
+
 class _Shown(NamedTuple):
     """A camera's mask, and the pixels of the mask that it has of all time."""
 
@@ -45,26 +58,27 @@ class MaskHull:
 
     @classmethod
     def of(
-        cls, masks: Sequence[MotionMask], focus: Float[np.ndarray, "3"], box_from_up: Float[np.ndarray, "3 3"]
+        cls, masks: Sequence[MotionMask], region: Float[np.ndarray, "2 3"], box_from_up: Float[np.ndarray, "3 3"]
     ) -> "MaskHull | None":
         """The hull of masks, a camera each; None where they contradict each other.
 
         Args:
             masks: Of all time.
-            focus: Middle of the cube that is searched.
+            region: Corners of what is searched, in upright axes.
             box_from_up: Rotation to upright axes.
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
         if len(fine) < 2:
             return None
-        reach = REACH * min(float(np.linalg.norm(masks[n].camera.centre - focus)) for n in fine)
-        axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
-        grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
-        found = cls(masks, fine, grid + box_from_up @ focus, 2 * reach / GRID, box_from_up)
-        whole = found._hull(masks)
-        if whole is None:
-            return None
-        found._cells = whole.cells[whole.movers()]
+        found = None
+        for coarse in PASSES:
+            cells, cell = _grid(region)
+            found = cls(masks, fine, cells, cell, box_from_up)
+            whole = found._hull(masks, coarse)
+            if whole is None:
+                return None
+            found._cells = whole.cells[whole.movers()]
+            region = found.box + cell * np.array([[-1.0], [1.0]])
         return found
 
     def __init__(
@@ -94,14 +108,14 @@ class MaskHull:
         low, high = self.box
         return _drawn_in(low, high, [hull for hull in every if hull is not None], self._cell)
 
-    def _hull(self, stretch: Sequence[MotionMask | None]) -> "_Hull | None":
+    def _hull(self, stretch: Sequence[MotionMask | None], coarse: bool = False) -> "_Hull | None":
         """What masks of some time agree on; None where that is nothing."""
         some = [
             _Shown(m, self._pixels[n]) for n in self._fine if (m := stretch[n]) is not None and m.mask.any()
         ]
         if len(some) < 2:
             return None
-        found = _Hull(some, self._cells, self._box_from_up, self._cell)
+        found = _Hull(some, self._cells, self._box_from_up, self._cell, coarse)
         return found if len(found.cells) else None
 
 
@@ -163,24 +177,42 @@ class _Hull:
     """
 
     def __init__(
-        self, masks: Sequence[_Shown], cells: Float[np.ndarray, "n 3"], box_from_up: np.ndarray, cell: float
+        self, masks: Sequence[_Shown], cells: Float[np.ndarray, "n 3"], box_from_up: np.ndarray, cell: float, coarse: bool = False
     ) -> None:
         """Ask masks of cells, in upright axes."""
         world = cells @ box_from_up
         shown = [_pixels(mask, world) for mask, _ in masks]
         seen = np.sum([pixel >= 0 for pixel in shown], axis=0)
-        inside = np.sum(
-            [(p >= 0) & m.mask.ravel()[p] for (m, _), p in zip(masks, shown, strict=True)], axis=0
-        )
-        kept = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
-        self.cells, self._cell = cells[kept], cell
-        self._seen: list[_Seen] = []
-        for (mask, pixels), pixel in zip(masks, shown, strict=True):
-            mine = np.flatnonzero(pixel[kept] >= 0)
+        kept = seen >= 2
+        reach = []
+        for (mask, _), pixel in zip(masks, shown, strict=True):
             camera = mask.camera
-            depth = (world[kept][mine] - camera.centre) @ camera.cam_from_world[2, :3]
-            reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
-            self._seen.append(_Seen(mine, pixel[kept][mine], reach, mask.moved, pixels))
+            depth = (world - camera.centre) @ camera.cam_from_world[2, :3]
+            reach.append(np.where(pixel >= 0, np.ceil(0.5 * cell * camera.K[0, 0] / np.maximum(depth, 1e-9)), 1).clip(1, MOST_REACH_PX).astype(int))
+            if coarse:
+                away = ndimage.distance_transform_cdt(~mask.mask, "chessboard").ravel()
+                kept &= (pixel < 0) | (away[pixel] <= reach[-1])
+            else:
+                kept &= (pixel < 0) | mask.mask.ravel()[pixel]
+        number = np.flatnonzero(kept)
+        if SUPPORT:
+            best = np.zeros(len(number), bool)
+            for (mask, _), pixel, r in zip(masks, shown, reach, strict=True):
+                mine = np.flatnonzero(pixel[number] >= 0)
+                at, support = pixel[number][mine], seen[number][mine]
+                most = np.zeros(mask.mask.shape)
+                for size in np.unique(r[number][mine]).tolist():
+                    now = r[number][mine] == size
+                    middle = np.zeros(mask.mask.size)
+                    np.maximum.at(middle, at[now], support[now])
+                    most = np.maximum(most, ndimage.maximum_filter(middle.reshape(most.shape), size=2 * size + 1, mode="constant"))
+                best[mine] |= support >= most.ravel()[at]
+            number = number[best]
+        self.cells, self._cell = cells[number], cell
+        self._seen: list[_Seen] = []
+        for (mask, pixels), pixel, r in zip(masks, shown, reach, strict=True):
+            mine = np.flatnonzero(pixel[number] >= 0)
+            self._seen.append(_Seen(mine, pixel[number][mine], r[number][mine], mask.moved, pixels))
 
     @cached_property
     def _known(self) -> list[int]:
