@@ -1,12 +1,14 @@
 """The boxes of what masks of cameras show: of all in which they agree, and the smallest that still explains them.
 
-On a coarse grid, what projects into every mask is a visual hull (Laurentini, PAMI 1994): one of all time, and within it
-one of each stretch of time. Cameras on one side cannot tell a thing from the space behind it, nor from where lines of
-sight past different things cross, and leave far more in it than is there. So the sides of the box come in while nearly
-every pixel of each mask still looks at some of its hull.
+On a grid, what projects into every mask that sees it is a visual hull (Laurentini, PAMI 1994): one of all time, and one
+of each stretch of time. Where only two cameras look, hardly any mask speaks against it, and the hull reaches far from what
+moves: up to the cameras, and beyond. So of what a pixel may look at, at some time, only that counts in which most cameras
+agree. Cameras on one side cannot tell a thing from the space behind it either, nor from where lines of sight past different
+things cross; so the sides of the box may come in while nearly every pixel of each mask still looks at some of its hull.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -16,8 +18,10 @@ from scipy import ndimage
 
 from devrf.calibration.motion_masks import MotionMask
 
-GRID = 64  # cells per axis
-REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
+GRID = 64  # cells per mean side of what is searched
+# Each search is within the box that the one before left. At first cells are large, and one of which any part may be in a
+# mask counts; then its middle has to be.
+COARSE = True, True, False, False
 MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 # Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
 # of what changes in so many cameras: those are small movers.
@@ -29,19 +33,6 @@ OVERLAP = 1.5  # cells, from the middle of the last one: in pictures they are sq
 MOST_REACH_PX = 12  # half the side of a cell in a picture
 
 
-SUPPORT = True
-PASSES = True, True, False, False
-
-
-def _grid(region: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """Middles of cubic cells that fill a region, and their side."""
-    sides = np.ptp(region, axis=0)
-    cell = float(np.cbrt(sides.prod())) / GRID
-    count = np.ceil(sides / cell).astype(int)
-    axes = [low + cell * (np.arange(n) + 0.5) for low, n in zip(region[0], count, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), cell
-
-
 class _Shown(NamedTuple):
     """A camera's mask, and the pixels of the mask that it has of all time."""
 
@@ -50,7 +41,7 @@ class _Shown(NamedTuple):
 
 
 class MaskHull:
-    """All in which masks of all time agree, without noise and shadows.
+    """All in which masks agree at some time, without noise and shadows.
 
     Attributes:
         box: Its corners, in upright world axes [2, 3].
@@ -58,7 +49,11 @@ class MaskHull:
 
     @classmethod
     def of(
-        cls, masks: Sequence[MotionMask], region: Float[np.ndarray, "2 3"], box_from_up: Float[np.ndarray, "3 3"]
+        cls,
+        masks: Sequence[MotionMask],
+        region: Float[np.ndarray, "2 3"],
+        box_from_up: Float[np.ndarray, "3 3"],
+        stretches: Sequence[Sequence[MotionMask | None]] = (),
     ) -> "MaskHull | None":
         """The hull of masks, a camera each; None where they contradict each other.
 
@@ -66,47 +61,56 @@ class MaskHull:
             masks: Of all time.
             region: Corners of what is searched, in upright axes.
             box_from_up: Rotation to upright axes.
+            stretches: Masks of shorter times: of the same cameras, None where one does not film then.
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
-        if len(fine) < 2:
-            return None
         found = None
-        for coarse in PASSES:
+        for coarse in COARSE if len(fine) > 1 else ():
             cells, cell = _grid(region)
-            found = cls(masks, fine, cells, cell, box_from_up)
-            whole = found._hull(masks, coarse)
-            if whole is None:
+            found = cls(masks, stretches, fine, box_from_up, cells, cell)
+            if not found._search(coarse):
                 return None
-            found._cells = whole.cells[whole.movers()]
             region = found.box + cell * np.array([[-1.0], [1.0]])
         return found
 
     def __init__(
         self,
         masks: Sequence[MotionMask],
+        stretches: Sequence[Sequence[MotionMask | None]],
         fine: Sequence[int],
+        box_from_up: Float[np.ndarray, "3 3"],
         cells: Float[np.ndarray, "n 3"],
         cell: float,
-        box_from_up: Float[np.ndarray, "3 3"],
     ) -> None:
         """Of cells with this side, by some of the masks."""
-        self._masks, self._fine, self._pixels = masks, fine, [float(mask.mask.sum()) for mask in masks]
-        self._cells, self._cell, self._box_from_up = cells, cell, box_from_up
+        self._masks, self._stretches, self._fine = masks, stretches, fine
+        self._pixels = [float(mask.mask.sum()) for mask in masks]
+        self._box_from_up, self._cells, self._cell = box_from_up, cells, cell
 
     @property
     def box(self) -> Float[np.ndarray, "2 3"]:
         """The box of all of it."""
         return np.stack([self._cells.min(0) - self._cell / 2, self._cells.max(0) + self._cell / 2])
 
-    def smallest_box(self, stretches: Sequence[Sequence[MotionMask | None]]) -> Float[np.ndarray, "2 3"]:
-        """Corners of the smallest box that still explains what the masks show.
-
-        Args:
-            stretches: Masks of shorter times: of the same cameras, None where one does not film then.
-        """
-        every = [self._hull(stretch) for stretch in (self._masks, *stretches)]
+    def smallest_box(self) -> Float[np.ndarray, "2 3"]:
+        """Corners of the smallest box that still explains what the masks show."""
+        every = [self._hull(stretch) for stretch in (self._masks, *self._stretches)]
         low, high = self.box
-        return _drawn_in(low, high, [hull for hull in every if hull is not None], self._cell)
+        return _drawn_in(low, high, [hull.only(hull.best()) for hull in every if hull is not None], self._cell)
+
+    def _search(self, coarse: bool) -> bool:
+        """Keep cells that belong to the hull; whether there are any."""
+        whole = self._hull(self._masks, coarse)
+        if whole is None:
+            return False
+        self._cells, kept = whole.cells, whole.best()
+        for stretch in self._stretches:
+            hull = self._hull(stretch, coarse)
+            if hull is not None:
+                kept[hull.number[hull.best()]] = True
+        whole = whole.only(kept)
+        self._cells = whole.cells[whole.movers()]
+        return True
 
     def _hull(self, stretch: Sequence[MotionMask | None], coarse: bool = False) -> "_Hull | None":
         """What masks of some time agree on; None where that is nothing."""
@@ -115,8 +119,36 @@ class MaskHull:
         ]
         if len(some) < 2:
             return None
-        found = _Hull(some, self._cells, self._box_from_up, self._cell, coarse)
+        found = _Hull.of(some, self._cells, self._box_from_up, self._cell, coarse)
         return found if len(found.cells) else None
+
+
+def unexplained(
+    masks: Sequence[MotionMask], box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+) -> list[Bool[np.ndarray, "h w"]]:
+    """Pixels of each mask that look at nothing in the box in which the masks that see it agree."""
+    scale = float(np.cbrt(np.linalg.det(box_from_world[:3, :3])))
+    box_from_up = box_from_world[:3, :3] / scale
+    cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale)
+    hull = _Hull.of([_Shown(mask, float(mask.mask.sum())) for mask in masks], cells, box_from_up, cell)
+    everything = np.ones(len(hull.cells), dtype=bool)
+    out = []
+    for mask, seen in zip(masks, hull.seen, strict=True):
+        left = mask.moved.copy()
+        left[left] = ~seen.explained(everything)
+        out.append(left)
+    return out
+
+
+def _grid(region: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Middles of cubic cells that fill a region, and their side."""
+    sides = np.ptp(region, axis=0)
+    cell = float(np.cbrt(sides.prod())) / GRID
+    axes = [
+        (low + high) / 2 + cell * (np.arange(n) - (n - 1) / 2)
+        for low, high, n in zip(*region, np.ceil(sides / cell).astype(int), strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), cell
 
 
 def _drawn_in(
@@ -153,8 +185,8 @@ class _Seen(NamedTuple):
     moved: Bool[np.ndarray, "h w"]
     pixels: float
 
-    def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-        """Of the hull's cells the lowest value that each pixel that moves looks at; infinite where there is none."""
+    def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "h w"]:
+        """Of the hull's cells the lowest value that each pixel looks at; infinite where there is none."""
         out = np.full(self.moved.shape, np.inf)
         for reach in np.unique(self.reach).tolist():
             mine, middle = self.reach == reach, np.full(self.moved.size, np.inf)
@@ -162,67 +194,81 @@ class _Seen(NamedTuple):
             middle = middle.reshape(self.moved.shape)
             around = ndimage.minimum_filter(middle, size=2 * reach + 1, mode="constant", cval=np.inf)
             out = np.minimum(out, around)
-        return out[self.moved]
+        return out
 
     def explained(self, cells: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " m"]:
         """Whether each pixel that moves looks at some of the cells."""
-        return np.isfinite(self.lowest(np.where(cells, 0.0, np.inf)))
+        return np.isfinite(self.lowest(np.where(cells, 0.0, np.inf))[self.moved])
 
 
+@dataclass(frozen=True)
 class _Hull:
-    """What projects into all masks that see it, of at least half of the cameras.
+    """What projects into all masks that see it, of at least two.
 
     Attributes:
-        cells: Its cells, in upright axes [n, 3].
+        cells: Its cells, in upright axes [n, 3], and their side.
+        number: Of each cell among those that were asked.
+        cameras: How many see each.
+        seen: The cells in each camera.
     """
 
-    def __init__(
-        self, masks: Sequence[_Shown], cells: Float[np.ndarray, "n 3"], box_from_up: np.ndarray, cell: float, coarse: bool = False
-    ) -> None:
-        """Ask masks of cells, in upright axes."""
+    cells: Float[np.ndarray, "n 3"]
+    cell: float
+    number: Int[np.ndarray, " n"]
+    cameras: Int[np.ndarray, " n"]
+    seen: "list[_Seen]"
+
+    @classmethod
+    def of(
+        cls,
+        masks: Sequence[_Shown],
+        cells: Float[np.ndarray, "n 3"],
+        box_from_up: np.ndarray,
+        cell: float,
+        coarse: bool = False,
+    ) -> "_Hull":
+        """Ask masks of cells, in upright axes; of coarse ones any part may be in a mask."""
         world = cells @ box_from_up
         shown = [_pixels(mask, world) for mask, _ in masks]
-        seen = np.sum([pixel >= 0 for pixel in shown], axis=0)
-        kept = seen >= 2
-        reach = []
-        for (mask, _), pixel in zip(masks, shown, strict=True):
-            camera = mask.camera
-            depth = (world - camera.centre) @ camera.cam_from_world[2, :3]
-            reach.append(np.where(pixel >= 0, np.ceil(0.5 * cell * camera.K[0, 0] / np.maximum(depth, 1e-9)), 1).clip(1, MOST_REACH_PX).astype(int))
-            if coarse:
-                away = ndimage.distance_transform_cdt(~mask.mask, "chessboard").ravel()
-                kept &= (pixel < 0) | (away[pixel] <= reach[-1])
-            else:
-                kept &= (pixel < 0) | mask.mask.ravel()[pixel]
-        number = np.flatnonzero(kept)
-        if SUPPORT:
-            best = np.zeros(len(number), bool)
-            for (mask, _), pixel, r in zip(masks, shown, reach, strict=True):
-                mine = np.flatnonzero(pixel[number] >= 0)
-                at, support = pixel[number][mine], seen[number][mine]
-                most = np.zeros(mask.mask.shape)
-                for size in np.unique(r[number][mine]).tolist():
-                    now = r[number][mine] == size
-                    middle = np.zeros(mask.mask.size)
-                    np.maximum.at(middle, at[now], support[now])
-                    most = np.maximum(most, ndimage.maximum_filter(middle.reshape(most.shape), size=2 * size + 1, mode="constant"))
-                best[mine] |= support >= most.ravel()[at]
-            number = number[best]
-        self.cells, self._cell = cells[number], cell
-        self._seen: list[_Seen] = []
-        for (mask, pixels), pixel, r in zip(masks, shown, reach, strict=True):
-            mine = np.flatnonzero(pixel[number] >= 0)
-            self._seen.append(_Seen(mine, pixel[number][mine], r[number][mine], mask.moved, pixels))
+        cameras = np.sum([pixel >= 0 for pixel in shown], axis=0)
+        kept, seen = cameras >= 2, []
+        for (mask, pixels), pixel in zip(masks, shown, strict=True):
+            camera, mine = mask.camera, np.flatnonzero(pixel >= 0)
+            depth = (world[mine] - camera.centre) @ camera.cam_from_world[2, :3]
+            reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
+            away = ndimage.distance_transform_cdt(~mask.mask, "chessboard").ravel()
+            kept[mine] &= away[pixel[mine]] <= (reach if coarse else 0)
+            seen.append(_Seen(mine, pixel[mine], reach, mask.moved, pixels))
+        return cls(cells, cell, np.arange(len(cells)), cameras, seen).only(kept)
+
+    def only(self, kept: Bool[np.ndarray, " n"]) -> "_Hull":
+        """Some of its cells."""
+        number = np.cumsum(kept) - 1
+        seen = []
+        for one in self.seen:
+            mine = kept[one.cells]
+            some = {"cells": number[one.cells[mine]], "pixel": one.pixel[mine], "reach": one.reach[mine]}
+            seen.append(one._replace(**some))
+        some = {"cells": self.cells[kept], "number": self.number[kept], "cameras": self.cameras[kept]}
+        return replace(self, **some, seen=seen)
+
+    def best(self) -> Bool[np.ndarray, " n"]:
+        """Cells that more cameras see than any other that a pixel looks at, or as many."""
+        out = np.zeros(len(self.cells), dtype=bool)
+        for seen in self.seen:
+            most = -seen.lowest(-self.cameras.astype(float))
+            out[seen.cells] |= self.cameras[seen.cells] >= most.ravel()[seen.pixel]
+        return out
 
     @cached_property
     def _known(self) -> list[int]:
         """Pixels of each mask that look at some of the cells."""
         every = np.ones(len(self.cells), dtype=bool)
-        return [int(seen.explained(every).sum()) for seen in self._seen]
+        return [int(seen.explained(every).sum()) for seen in self.seen]
 
     def movers(self) -> Bool[np.ndarray, " k"]:
         """Cells of the pieces that are large, or alone explain what moves in some cameras; the largest go first."""
-        place = np.round((self.cells - self.cells.min(0)) / self._cell).astype(int)
+        place = np.round((self.cells - self.cells.min(0)) / self.cell).astype(int)
         volume = np.zeros(place.max(0) + 1, dtype=bool)
         volume[tuple(place.T)] = True
         labels = np.empty(volume.shape, dtype=np.int32)
@@ -230,13 +276,13 @@ class _Hull:
         piece = labels[tuple(place.T)]
         sizes = np.bincount(piece)
         kept = np.zeros(len(piece), dtype=bool)
-        before = [np.zeros(int(seen.moved.sum()), dtype=bool) for seen in self._seen]
+        before = [np.zeros(int(seen.moved.sum()), dtype=bool) for seen in self.seen]
         for number in np.argsort(-sizes)[:MOST_PIECES]:
             mine = piece == number
-            shown = [seen.explained(mine) for seen in self._seen]
+            shown = [seen.explained(mine) for seen in self.seen]
             alone = sum(
                 (now & ~then).sum() >= MOVER_SHARE * seen.pixels
-                for seen, now, then in zip(self._seen, shown, before, strict=True)
+                for seen, now, then in zip(self.seen, shown, before, strict=True)
             )
             if mine.any() and (sizes[number] >= COMPONENT_SHARE * sizes.max() or alone >= MOVER_CAMERAS):
                 kept |= mine
@@ -251,8 +297,8 @@ class _Hull:
         outward = self.cells[:, side % 3] * (1 if side >= 3 else -1)
         inside = ((self.cells >= low) & (self.cells <= high)).all(1)
         outward, needed = np.where(inside, outward, np.inf), []
-        for seen, known in zip(self._seen, self._known, strict=True):
-            ends = np.sort(seen.lowest(outward))
+        for seen, known in zip(self.seen, self._known, strict=True):
+            ends = np.sort(seen.lowest(outward)[seen.moved])
             ends = ends[np.isfinite(ends)]
             gone = known - len(ends)
             needed.append([_end(ends, int(share * seen.pixels) - gone) for share in (SPARE, ALONE)])
