@@ -105,21 +105,23 @@ class MaskHull:
             return False
         self._cells, kept = whole.cells, whole.best()
         for stretch in self._stretches:
-            hull = self._hull(stretch, coarse)
+            hull = self._hull(stretch, coarse, most_deny=1)
             if hull is not None:
                 kept[hull.number[hull.best()]] = True
         whole = whole.only(kept)
         self._cells = whole.cells[whole.movers()]
         return True
 
-    def _hull(self, stretch: Sequence[MotionMask | None], coarse: bool = False) -> "_Hull | None":
+    def _hull(
+        self, stretch: Sequence[MotionMask | None], coarse: bool = False, most_deny: int = 0
+    ) -> "_Hull | None":
         """What masks of some time agree on; None where that is nothing."""
         some = [
             _Shown(m, self._pixels[n]) for n in self._fine if (m := stretch[n]) is not None and m.mask.any()
         ]
         if len(some) < 2:
             return None
-        found = _Hull.of(some, self._cells, self._box_from_up, self._cell, coarse)
+        found = _Hull.of(some, self._cells, self._box_from_up, self._cell, coarse, most_deny)
         return found if len(found.cells) else None
 
 
@@ -208,7 +210,8 @@ class _Hull:
     Attributes:
         cells: Its cells, in upright axes [n, 3], and their side.
         number: Of each cell among those that were asked.
-        cameras: How many see each.
+        cameras: How many show each.
+        whole: Whether all that see it do.
         seen: The cells in each camera.
     """
 
@@ -216,6 +219,7 @@ class _Hull:
     cell: float
     number: Int[np.ndarray, " n"]
     cameras: Int[np.ndarray, " n"]
+    whole: Bool[np.ndarray, " n"]
     seen: "list[_Seen]"
 
     @classmethod
@@ -226,20 +230,28 @@ class _Hull:
         box_from_up: np.ndarray,
         cell: float,
         coarse: bool = False,
+        most_deny: int = 0,
     ) -> "_Hull":
-        """Ask masks of cells, in upright axes; of coarse ones any part may be in a mask."""
+        """Ask masks of cells, in upright axes.
+
+        Args:
+            coarse: Any part of a cell may be in a mask.
+            most_deny: Masks that may not show a cell that more show.
+        """
         world = cells @ box_from_up
         shown = [_pixels(mask, world) for mask, _ in masks]
         cameras = np.sum([pixel >= 0 for pixel in shown], axis=0)
-        kept, seen = cameras >= 2, []
+        agree, seen = np.zeros(len(cells), dtype=int), []
         for (mask, pixels), pixel in zip(masks, shown, strict=True):
             camera, mine = mask.camera, np.flatnonzero(pixel >= 0)
             depth = (world[mine] - camera.centre) @ camera.cam_from_world[2, :3]
             reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
             away = ndimage.distance_transform_cdt(~mask.mask, "chessboard").ravel()
-            kept[mine] &= away[pixel[mine]] <= (reach if coarse else 0)
+            agree[mine] += away[pixel[mine]] <= (reach if coarse else 0)
             seen.append(_Seen(mine, pixel[mine], reach, mask.moved, pixels))
-        return cls(cells, cell, np.arange(len(cells)), cameras, seen).only(kept)
+        deny = cameras - agree
+        kept = (agree >= 2 + deny) & (deny <= most_deny)
+        return cls(cells, cell, np.arange(len(cells)), agree, deny == 0, seen).only(kept)
 
     def only(self, kept: Bool[np.ndarray, " n"]) -> "_Hull":
         """Some of its cells."""
@@ -249,16 +261,18 @@ class _Hull:
             mine = kept[one.cells]
             some = {"cells": number[one.cells[mine]], "pixel": one.pixel[mine], "reach": one.reach[mine]}
             seen.append(one._replace(**some))
-        some = {"cells": self.cells[kept], "number": self.number[kept], "cameras": self.cameras[kept]}
-        return replace(self, **some, seen=seen)
+        of_cells = {
+            name: getattr(self, name)[kept] for name in ("cells", "number", "cameras", "whole")
+        }
+        return replace(self, **of_cells, seen=seen)
 
     def best(self) -> Bool[np.ndarray, " n"]:
-        """Cells that more cameras see than any other that a pixel looks at, or as many."""
+        """Cells that all cameras show that see them, and of those that some pixel looks at none is shown by more."""
         out = np.zeros(len(self.cells), dtype=bool)
         for seen in self.seen:
             most = -seen.lowest(-self.cameras.astype(float))
             out[seen.cells] |= self.cameras[seen.cells] >= most.ravel()[seen.pixel]
-        return out
+        return out & self.whole
 
     @cached_property
     def _known(self) -> list[int]:
