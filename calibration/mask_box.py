@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from devrf.calibration.motion_masks import MotionMask
+from devrf.capture.camera import Camera
 
 GRID = 64  # cells per mean side of what is searched
 # Each search is within the box that the one before left. At first cells are large, and one of which any part may be in a
@@ -29,15 +30,8 @@ COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
 MOST_PIECES = 20  # that are asked, the largest first
 # Of a camera's mask of all time, so much may look past the box in each stretch of time; in one camera alone, more.
 SPARE, ALONE = 0.0025, 0.01
-OVERLAP = 1.5  # cells, from the middle of the last one: in pictures they are squares that overlap
+OVERLAP = 3.0  # cells, from the middle of the last one: in pictures they are squares that overlap
 MOST_REACH_PX = 12  # half the side of a cell in a picture
-
-
-class _Shown(NamedTuple):
-    """A camera's mask, and the pixels of the mask that it has of all time."""
-
-    mask: MotionMask
-    pixels: float
 
 
 class MaskHull:
@@ -85,7 +79,8 @@ class MaskHull:
         """Of cells with this side, by some of the masks."""
         self._masks, self._stretches, self._fine = masks, stretches, fine
         self._pixels = [float(mask.mask.sum()) for mask in masks]
-        self._box_from_up, self._cells, self._cell = box_from_up, cells, cell
+        self._cells, self._cell = cells, cell
+        self._views = [_view(masks[n].camera, cells @ box_from_up, cell) for n in fine]
 
     @property
     def box(self) -> Float[np.ndarray, "2 3"]:
@@ -103,25 +98,34 @@ class MaskHull:
         whole = self._hull(self._masks, coarse)
         if whole is None:
             return False
-        self._cells, kept = whole.cells, whole.best()
+        self._keep(whole.number)
+        kept = whole.best()
         for stretch in self._stretches:
             hull = self._hull(stretch, coarse, most_deny=1)
             if hull is not None:
                 kept[hull.number[hull.best()]] = True
-        whole = whole.only(kept)
-        self._cells = whole.cells[whole.movers()]
+        number, whole = np.flatnonzero(kept), whole.only(kept)
+        self._keep(number[whole.movers()])
         return True
+
+    def _keep(self, number: Int[np.ndarray, " k"]) -> None:
+        """Forget other cells than these."""
+        kept = np.zeros(len(self._cells), dtype=bool)
+        kept[number] = True
+        self._cells, self._views = self._cells[kept], [view.only(kept) for view in self._views]
 
     def _hull(
         self, stretch: Sequence[MotionMask | None], coarse: bool = False, most_deny: int = 0
     ) -> "_Hull | None":
         """What masks of some time agree on; None where that is nothing."""
         some = [
-            _Shown(m, self._pixels[n]) for n in self._fine if (m := stretch[n]) is not None and m.mask.any()
+            _Seen(*view, mask, self._pixels[n])
+            for n, view in zip(self._fine, self._views, strict=True)
+            if (mask := stretch[n]) is not None and mask.mask.any()
         ]
         if len(some) < 2:
             return None
-        found = _Hull.of(some, self._cells, self._box_from_up, self._cell, coarse, most_deny)
+        found = _Hull.of(some, self._cells, self._cell, coarse, most_deny)
         return found if len(found.cells) else None
 
 
@@ -132,7 +136,9 @@ def unexplained(
     scale = float(np.cbrt(np.linalg.det(box_from_world[:3, :3])))
     box_from_up = box_from_world[:3, :3] / scale
     cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale)
-    hull = _Hull.of([_Shown(mask, float(mask.mask.sum())) for mask in masks], cells, box_from_up, cell)
+    world = cells @ box_from_up
+    seen = [_Seen(*_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
+    hull = _Hull.of(seen, cells, cell)
     everything = np.ones(len(hull.cells), dtype=bool)
     out = []
     for mask, seen in zip(masks, hull.seen, strict=True):
@@ -171,21 +177,43 @@ def _drawn_in(
     return np.stack([-ends[:3], ends[3:]])
 
 
-class _Seen(NamedTuple):
-    """Cells of a hull in one camera's picture.
+class _View(NamedTuple):
+    """Cells in a camera's picture, small as its mask.
 
     Attributes:
         cells: Their numbers.
         pixel, reach: Where each is, and half the side of its square.
-        moved: Pixels that move.
+    """
+
+    cells: Int[np.ndarray, " k"]
+    pixel: Int[np.ndarray, " k"]
+    reach: Int[np.ndarray, " k"]
+
+    def only(self, kept: Bool[np.ndarray, " n"]) -> "_View":
+        """Some of the cells, which are numbered anew."""
+        mine, number = kept[self.cells], np.cumsum(kept) - 1
+        return _View(number[self.cells[mine]], self.pixel[mine], self.reach[mine])
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Cells of a hull in one camera's picture, as in `_View`, and the mask.
+
+    Attributes:
+        mask: Of some time.
         pixels: Of the camera's mask of all time.
     """
 
     cells: Int[np.ndarray, " k"]
     pixel: Int[np.ndarray, " k"]
     reach: Int[np.ndarray, " k"]
-    moved: Bool[np.ndarray, "h w"]
+    mask: MotionMask
     pixels: float
+
+    @property
+    def moved(self) -> Bool[np.ndarray, "h w"]:
+        """Pixels that move."""
+        return self.mask.moved
 
     def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "h w"]:
         """Of the hull's cells the lowest value that each pixel looks at; infinite where there is none."""
@@ -220,14 +248,13 @@ class _Hull:
     number: Int[np.ndarray, " n"]
     cameras: Int[np.ndarray, " n"]
     whole: Bool[np.ndarray, " n"]
-    seen: "list[_Seen]"
+    seen: "Sequence[_Seen]"
 
     @classmethod
     def of(
         cls,
-        masks: Sequence[_Shown],
+        seen: "Sequence[_Seen]",
         cells: Float[np.ndarray, "n 3"],
-        box_from_up: np.ndarray,
         cell: float,
         coarse: bool = False,
         most_deny: int = 0,
@@ -238,32 +265,22 @@ class _Hull:
             coarse: Any part of a cell may be in a mask.
             most_deny: Masks that may not show a cell that more show.
         """
-        world = cells @ box_from_up
-        shown = [_pixels(mask, world) for mask, _ in masks]
-        cameras = np.sum([pixel >= 0 for pixel in shown], axis=0)
-        agree, seen = np.zeros(len(cells), dtype=int), []
-        for (mask, pixels), pixel in zip(masks, shown, strict=True):
-            camera, mine = mask.camera, np.flatnonzero(pixel >= 0)
-            depth = (world[mine] - camera.centre) @ camera.cam_from_world[2, :3]
-            reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
-            away = ndimage.distance_transform_cdt(~mask.mask, "chessboard").ravel()
-            agree[mine] += away[pixel[mine]] <= (reach if coarse else 0)
-            seen.append(_Seen(mine, pixel[mine], reach, mask.moved, pixels))
-        deny = cameras - agree
+        agree, deny = np.zeros(len(cells), dtype=int), np.zeros(len(cells), dtype=int)
+        for one in seen:
+            away = ndimage.distance_transform_cdt(~one.mask.mask, "chessboard").ravel()
+            shows = away[one.pixel] <= (one.reach if coarse else 0)
+            agree[one.cells] += shows
+            deny[one.cells] += ~shows
         kept = (agree >= 2 + deny) & (deny <= most_deny)
         return cls(cells, cell, np.arange(len(cells)), agree, deny == 0, seen).only(kept)
 
     def only(self, kept: Bool[np.ndarray, " n"]) -> "_Hull":
         """Some of its cells."""
-        number = np.cumsum(kept) - 1
         seen = []
         for one in self.seen:
-            mine = kept[one.cells]
-            some = {"cells": number[one.cells[mine]], "pixel": one.pixel[mine], "reach": one.reach[mine]}
-            seen.append(one._replace(**some))
-        of_cells = {
-            name: getattr(self, name)[kept] for name in ("cells", "number", "cameras", "whole")
-        }
+            cells, pixel, reach = _View(one.cells, one.pixel, one.reach).only(kept)
+            seen.append(replace(one, cells=cells, pixel=pixel, reach=reach))
+        of_cells = {name: getattr(self, name)[kept] for name in ("cells", "number", "cameras", "whole")}
         return replace(self, **of_cells, seen=seen)
 
     def best(self) -> Bool[np.ndarray, " n"]:
@@ -330,9 +347,11 @@ def _inward(end: float, needed: float) -> float:
     return min(end, needed) if np.isfinite(needed) else end
 
 
-def _pixels(mask: MotionMask, world: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    """The pixel of a mask at which each point is, -1 where it is in no picture."""
-    height, width = mask.mask.shape
-    at = np.nan_to_num(mask.camera.project(world), nan=-1.0)
-    inside = (at >= 0).all(1) & (at < [width, height]).all(1)
-    return np.where(inside, at.clip(0, [width, height]).astype(int) @ [1, width], -1)
+def _view(camera: Camera, world: Float[np.ndarray, "n 3"], cell: float) -> _View:
+    """Where a camera sees cells of which these are the middles."""
+    at = np.nan_to_num(camera.project(world), nan=-1.0)
+    cells = np.flatnonzero((at >= 0).all(1) & (at < [camera.width, camera.height]).all(1))
+    pixel = at[cells].astype(int) @ [1, camera.width]
+    depth = (world[cells] - camera.centre) @ camera.cam_from_world[2, :3]
+    reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
+    return _View(cells, pixel, reach)
