@@ -6,7 +6,7 @@ that change over time say where that is (`mask_box`). Where nothing moves, it ho
 focus, the point closest to all view axes.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from devrf.capture.view_axes import closest_point
 
 LEVEL_SPREAD = 0.3  # right axes that span a plane this clearly give the up direction
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
+SEARCH = 2.0
 STEPS = 21  # in which a box that is too large is drawn in
 HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
 VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which every side has as margin
@@ -67,7 +68,7 @@ def scene_bounds(
     distances: Float[np.ndarray, " m"],
     masks: Sequence[MotionMask] = (),
     shown: str = "what moves",
-    stretches: Callable[[], Sequence[Sequence[MotionMask | None]]] = tuple,
+    stretches: Sequence[Sequence[MotionMask | None]] = (),
     across: float = 0.0,
 ) -> Bounds:
     """Find the box.
@@ -79,7 +80,7 @@ def scene_bounds(
         distances: Distance of every sighting of a point from its camera [m].
         masks: Motion masks of the fixed cameras, or mattes.
         shown: What they show, in words.
-        stretches: Gives the same of shorter times, as `MaskHull` takes them, where the box has to be drawn in.
+        stretches: The same of shorter times, as `MaskHull` takes them.
         across: Widths of the masks' pictures that a mean side of the box may be long. A larger box is drawn in, at most
             to the smallest that explains what masks show; a smaller one is not: what is outside is modelled coarser.
     Raises:
@@ -90,9 +91,10 @@ def scene_bounds(
         raise ValueError("bounds of a scene without cameras")
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
-    hull = MaskHull.of(masks, focus, box_from_up)
+    region = _searched(points, focus, fixed or cameras, box_from_up)
+    hull = MaskHull.of(masks, region, box_from_up, stretches)
     if hull is not None:
-        lo, hi = _no_larger(hull, stretches, [mask.camera for mask in masks], box_from_up, across)
+        lo, hi = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
         basis = f"visual hulls of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:
@@ -142,9 +144,24 @@ def focus_point(cameras: Sequence[Camera]) -> Float[np.ndarray, "3"]:
     return focus
 
 
+def _searched(
+    points: Float[np.ndarray, "n 3"],
+    focus: Float[np.ndarray, "3"],
+    cameras: Sequence[Camera],
+    box_from_up: Float[np.ndarray, "3 3"],
+) -> Float[np.ndarray, "2 3"]:
+    """Corners of where something may move: as far as the sweep's points go, where there are any."""
+    distance = float(np.median([np.linalg.norm(c.centre - focus) for c in cameras]))
+    widest = box_from_up @ focus + SEARCH * distance * np.array([[-1.0], [1.0]])
+    if len(points) < 30:
+        return widest
+    ends = np.percentile(points @ box_from_up.T, POINT_PERCENTILES, axis=0)
+    ends += 0.05 * np.ptp(ends, axis=0) * np.array([[-1.0], [1.0]])
+    return np.stack([np.maximum(widest[0], ends[0]), np.minimum(widest[1], ends[1])])
+
+
 def _no_larger(
     hull: MaskHull,
-    stretches: Callable[[], Sequence[Sequence[MotionMask | None]]],
     cameras: Sequence[Camera],
     box_from_up: Float[np.ndarray, "3 3"],
     across: float,
@@ -158,7 +175,7 @@ def _no_larger(
 
     if small_enough(hull.box):
         return hull.box
-    smallest = hull.smallest_box(stretches())
+    smallest = hull.smallest_box()
     steps = (hull.box + share * (smallest - hull.box) for share in np.linspace(0, 1, STEPS))
     return next((box for box in steps if small_enough(box)), smallest)
 

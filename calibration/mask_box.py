@@ -1,12 +1,14 @@
 """The boxes of what masks of cameras show: of all in which they agree, and the smallest that still explains them.
 
-On a coarse grid, what projects into every mask is a visual hull (Laurentini, PAMI 1994): one of all time, and within it
-one of each stretch of time. Cameras on one side cannot tell a thing from the space behind it, nor from where lines of
-sight past different things cross, and leave far more in it than is there. So the sides of the box come in while nearly
-every pixel of each mask still looks at some of its hull.
+On a grid, what projects into every mask that sees it is a visual hull (Laurentini, PAMI 1994): one of all time, and one
+of each stretch of time. Where only two cameras look, hardly any mask speaks against it, and the hull reaches far from what
+moves: up to the cameras, and beyond. So of what a pixel may look at, at some time, only that counts in which most cameras
+agree. Cameras on one side cannot tell a thing from the space behind it either, nor from where lines of sight past different
+things cross; so the sides of the box may come in while nearly every pixel of each mask still looks at some of its hull.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -15,9 +17,12 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from devrf.calibration.motion_masks import MotionMask
+from devrf.capture.camera import Camera
 
-GRID = 64  # cells per axis
-REACH = 0.9  # half side of the searched cube over the nearest camera's distance to the focus
+GRID = 64  # cells per mean side of what is searched
+# Each search is within the box that the one before left. At first cells are large, and one of which any part may be in a
+# mask counts; then its middle has to be.
+COARSE = True, True, False, False
 MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 # Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
 # of what changes in so many cameras: those are small movers.
@@ -25,19 +30,12 @@ COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
 MOST_PIECES = 20  # that are asked, the largest first
 # Of a camera's mask of all time, so much may look past the box in each stretch of time; in one camera alone, more.
 SPARE, ALONE = 0.0025, 0.01
-OVERLAP = 1.5  # cells, from the middle of the last one: in pictures they are squares that overlap
+OVERLAP = 3.0  # cells, from the middle of the last one: in pictures they are squares that overlap
 MOST_REACH_PX = 12  # half the side of a cell in a picture
 
 
-class _Shown(NamedTuple):
-    """A camera's mask, and the pixels of the mask that it has of all time."""
-
-    mask: MotionMask
-    pixels: float
-
-
 class MaskHull:
-    """All in which masks of all time agree, without noise and shadows.
+    """All in which masks agree at some time, without noise and shadows.
 
     Attributes:
         box: Its corners, in upright world axes [2, 3].
@@ -45,64 +43,120 @@ class MaskHull:
 
     @classmethod
     def of(
-        cls, masks: Sequence[MotionMask], focus: Float[np.ndarray, "3"], box_from_up: Float[np.ndarray, "3 3"]
+        cls,
+        masks: Sequence[MotionMask],
+        region: Float[np.ndarray, "2 3"],
+        box_from_up: Float[np.ndarray, "3 3"],
+        stretches: Sequence[Sequence[MotionMask | None]] = (),
     ) -> "MaskHull | None":
         """The hull of masks, a camera each; None where they contradict each other.
 
         Args:
             masks: Of all time.
-            focus: Middle of the cube that is searched.
+            region: Corners of what is searched, in upright axes.
             box_from_up: Rotation to upright axes.
+            stretches: Masks of shorter times: of the same cameras, None where one does not film then.
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
-        if len(fine) < 2:
-            return None
-        reach = REACH * min(float(np.linalg.norm(masks[n].camera.centre - focus)) for n in fine)
-        axis = (np.arange(GRID) + 0.5) / GRID * 2 - 1
-        grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3) * reach
-        found = cls(masks, fine, grid + box_from_up @ focus, 2 * reach / GRID, box_from_up)
-        whole = found._hull(masks)
-        if whole is None:
-            return None
-        found._cells = whole.cells[whole.movers()]
+        found = None
+        for coarse in COARSE if len(fine) > 1 else ():
+            cells, cell = _grid(region)
+            found = cls(masks, stretches, fine, box_from_up, cells, cell)
+            if not found._search(coarse):
+                return None
+            region = found.box + cell * np.array([[-1.0], [1.0]])
         return found
 
     def __init__(
         self,
         masks: Sequence[MotionMask],
+        stretches: Sequence[Sequence[MotionMask | None]],
         fine: Sequence[int],
+        box_from_up: Float[np.ndarray, "3 3"],
         cells: Float[np.ndarray, "n 3"],
         cell: float,
-        box_from_up: Float[np.ndarray, "3 3"],
     ) -> None:
         """Of cells with this side, by some of the masks."""
-        self._masks, self._fine, self._pixels = masks, fine, [float(mask.mask.sum()) for mask in masks]
-        self._cells, self._cell, self._box_from_up = cells, cell, box_from_up
+        self._masks, self._stretches, self._fine = masks, stretches, fine
+        self._pixels = [float(mask.mask.sum()) for mask in masks]
+        self._cells, self._cell = cells, cell
+        self._views = [_view(masks[n].camera, cells @ box_from_up, cell) for n in fine]
 
     @property
     def box(self) -> Float[np.ndarray, "2 3"]:
         """The box of all of it."""
         return np.stack([self._cells.min(0) - self._cell / 2, self._cells.max(0) + self._cell / 2])
 
-    def smallest_box(self, stretches: Sequence[Sequence[MotionMask | None]]) -> Float[np.ndarray, "2 3"]:
-        """Corners of the smallest box that still explains what the masks show.
-
-        Args:
-            stretches: Masks of shorter times: of the same cameras, None where one does not film then.
-        """
-        every = [self._hull(stretch) for stretch in (self._masks, *stretches)]
+    def smallest_box(self) -> Float[np.ndarray, "2 3"]:
+        """Corners of the smallest box that still explains what the masks show."""
+        every = [self._hull(stretch) for stretch in (self._masks, *self._stretches)]
         low, high = self.box
-        return _drawn_in(low, high, [hull for hull in every if hull is not None], self._cell)
+        return _drawn_in(low, high, [hull.only(hull.best()) for hull in every if hull is not None], self._cell)
 
-    def _hull(self, stretch: Sequence[MotionMask | None]) -> "_Hull | None":
+    def _search(self, coarse: bool) -> bool:
+        """Keep cells that belong to the hull; whether there are any."""
+        whole = self._hull(self._masks, coarse)
+        if whole is None:
+            return False
+        self._keep(whole.number)
+        kept = whole.best()
+        for stretch in self._stretches:
+            hull = self._hull(stretch, coarse, most_deny=1)
+            if hull is not None:
+                kept[hull.number[hull.best()]] = True
+        number, whole = np.flatnonzero(kept), whole.only(kept)
+        self._keep(number[whole.movers()])
+        return True
+
+    def _keep(self, number: Int[np.ndarray, " k"]) -> None:
+        """Forget other cells than these."""
+        kept = np.zeros(len(self._cells), dtype=bool)
+        kept[number] = True
+        self._cells, self._views = self._cells[kept], [view.only(kept) for view in self._views]
+
+    def _hull(
+        self, stretch: Sequence[MotionMask | None], coarse: bool = False, most_deny: int = 0
+    ) -> "_Hull | None":
         """What masks of some time agree on; None where that is nothing."""
         some = [
-            _Shown(m, self._pixels[n]) for n in self._fine if (m := stretch[n]) is not None and m.mask.any()
+            _Seen(*view, mask, self._pixels[n])
+            for n, view in zip(self._fine, self._views, strict=True)
+            if (mask := stretch[n]) is not None and mask.mask.any()
         ]
         if len(some) < 2:
             return None
-        found = _Hull(some, self._cells, self._box_from_up, self._cell)
+        found = _Hull.of(some, self._cells, self._cell, coarse, most_deny)
         return found if len(found.cells) else None
+
+
+def unexplained(
+    masks: Sequence[MotionMask], box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+) -> list[Bool[np.ndarray, "h w"]]:
+    """Pixels of each mask that look at nothing in the box in which the masks that see it agree."""
+    scale = float(np.cbrt(np.linalg.det(box_from_world[:3, :3])))
+    box_from_up = box_from_world[:3, :3] / scale
+    cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale)
+    world = cells @ box_from_up
+    seen = [_Seen(*_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
+    hull = _Hull.of(seen, cells, cell)
+    everything = np.ones(len(hull.cells), dtype=bool)
+    out = []
+    for mask, seen in zip(masks, hull.seen, strict=True):
+        left = mask.moved.copy()
+        left[left] = ~seen.explained(everything)
+        out.append(left)
+    return out
+
+
+def _grid(region: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Middles of cubic cells that fill a region, and their side."""
+    sides = np.ptp(region, axis=0)
+    cell = float(np.cbrt(sides.prod())) / GRID
+    axes = [
+        (low + high) / 2 + cell * (np.arange(n) - (n - 1) / 2)
+        for low, high, n in zip(*region, np.ceil(sides / cell).astype(int), strict=True)
+    ]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), cell
 
 
 def _drawn_in(
@@ -123,24 +177,46 @@ def _drawn_in(
     return np.stack([-ends[:3], ends[3:]])
 
 
-class _Seen(NamedTuple):
-    """Cells of a hull in one camera's picture.
+class _View(NamedTuple):
+    """Cells in a camera's picture, small as its mask.
 
     Attributes:
         cells: Their numbers.
         pixel, reach: Where each is, and half the side of its square.
-        moved: Pixels that move.
+    """
+
+    cells: Int[np.ndarray, " k"]
+    pixel: Int[np.ndarray, " k"]
+    reach: Int[np.ndarray, " k"]
+
+    def only(self, kept: Bool[np.ndarray, " n"]) -> "_View":
+        """Some of the cells, which are numbered anew."""
+        mine, number = kept[self.cells], np.cumsum(kept) - 1
+        return _View(number[self.cells[mine]], self.pixel[mine], self.reach[mine])
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Cells of a hull in one camera's picture, as in `_View`, and the mask.
+
+    Attributes:
+        mask: Of some time.
         pixels: Of the camera's mask of all time.
     """
 
     cells: Int[np.ndarray, " k"]
     pixel: Int[np.ndarray, " k"]
     reach: Int[np.ndarray, " k"]
-    moved: Bool[np.ndarray, "h w"]
+    mask: MotionMask
     pixels: float
 
-    def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
-        """Of the hull's cells the lowest value that each pixel that moves looks at; infinite where there is none."""
+    @property
+    def moved(self) -> Bool[np.ndarray, "h w"]:
+        """Pixels that move."""
+        return self.mask.moved
+
+    def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "h w"]:
+        """Of the hull's cells the lowest value that each pixel looks at; infinite where there is none."""
         out = np.full(self.moved.shape, np.inf)
         for reach in np.unique(self.reach).tolist():
             mine, middle = self.reach == reach, np.full(self.moved.size, np.inf)
@@ -148,49 +224,82 @@ class _Seen(NamedTuple):
             middle = middle.reshape(self.moved.shape)
             around = ndimage.minimum_filter(middle, size=2 * reach + 1, mode="constant", cval=np.inf)
             out = np.minimum(out, around)
-        return out[self.moved]
+        return out
 
     def explained(self, cells: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " m"]:
         """Whether each pixel that moves looks at some of the cells."""
-        return np.isfinite(self.lowest(np.where(cells, 0.0, np.inf)))
+        return np.isfinite(self.lowest(np.where(cells, 0.0, np.inf))[self.moved])
 
 
+@dataclass(frozen=True)
 class _Hull:
-    """What projects into all masks that see it, of at least half of the cameras.
+    """What projects into all masks that see it, of at least two.
 
     Attributes:
-        cells: Its cells, in upright axes [n, 3].
+        cells: Its cells, in upright axes [n, 3], and their side.
+        number: Of each cell among those that were asked.
+        cameras: How many show each.
+        whole: Whether all that see it do.
+        seen: The cells in each camera.
     """
 
-    def __init__(
-        self, masks: Sequence[_Shown], cells: Float[np.ndarray, "n 3"], box_from_up: np.ndarray, cell: float
-    ) -> None:
-        """Ask masks of cells, in upright axes."""
-        world = cells @ box_from_up
-        shown = [_pixels(mask, world) for mask, _ in masks]
-        seen = np.sum([pixel >= 0 for pixel in shown], axis=0)
-        inside = np.sum(
-            [(p >= 0) & m.mask.ravel()[p] for (m, _), p in zip(masks, shown, strict=True)], axis=0
-        )
-        kept = (seen >= min(len(masks), max(2, (len(masks) + 1) // 2))) & (inside == seen)
-        self.cells, self._cell = cells[kept], cell
-        self._seen: list[_Seen] = []
-        for (mask, pixels), pixel in zip(masks, shown, strict=True):
-            mine = np.flatnonzero(pixel[kept] >= 0)
-            camera = mask.camera
-            depth = (world[kept][mine] - camera.centre) @ camera.cam_from_world[2, :3]
-            reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
-            self._seen.append(_Seen(mine, pixel[kept][mine], reach, mask.moved, pixels))
+    cells: Float[np.ndarray, "n 3"]
+    cell: float
+    number: Int[np.ndarray, " n"]
+    cameras: Int[np.ndarray, " n"]
+    whole: Bool[np.ndarray, " n"]
+    seen: "Sequence[_Seen]"
+
+    @classmethod
+    def of(
+        cls,
+        seen: "Sequence[_Seen]",
+        cells: Float[np.ndarray, "n 3"],
+        cell: float,
+        coarse: bool = False,
+        most_deny: int = 0,
+    ) -> "_Hull":
+        """Ask masks of cells, in upright axes.
+
+        Args:
+            coarse: Any part of a cell may be in a mask.
+            most_deny: Masks that may not show a cell that more show.
+        """
+        agree, deny = np.zeros(len(cells), dtype=int), np.zeros(len(cells), dtype=int)
+        for one in seen:
+            away = ndimage.distance_transform_cdt(~one.mask.mask, "chessboard").ravel()
+            shows = away[one.pixel] <= (one.reach if coarse else 0)
+            agree[one.cells] += shows
+            deny[one.cells] += ~shows
+        kept = (agree >= 2 + deny) & (deny <= most_deny)
+        return cls(cells, cell, np.arange(len(cells)), agree, deny == 0, seen).only(kept)
+
+    def only(self, kept: Bool[np.ndarray, " n"]) -> "_Hull":
+        """Some of its cells."""
+        seen = []
+        for one in self.seen:
+            cells, pixel, reach = _View(one.cells, one.pixel, one.reach).only(kept)
+            seen.append(replace(one, cells=cells, pixel=pixel, reach=reach))
+        of_cells = {name: getattr(self, name)[kept] for name in ("cells", "number", "cameras", "whole")}
+        return replace(self, **of_cells, seen=seen)
+
+    def best(self) -> Bool[np.ndarray, " n"]:
+        """Cells that all cameras show that see them, and of those that some pixel looks at none is shown by more."""
+        out = np.zeros(len(self.cells), dtype=bool)
+        for seen in self.seen:
+            most = -seen.lowest(-self.cameras.astype(float))
+            out[seen.cells] |= self.cameras[seen.cells] >= most.ravel()[seen.pixel]
+        return out & self.whole
 
     @cached_property
     def _known(self) -> list[int]:
         """Pixels of each mask that look at some of the cells."""
         every = np.ones(len(self.cells), dtype=bool)
-        return [int(seen.explained(every).sum()) for seen in self._seen]
+        return [int(seen.explained(every).sum()) for seen in self.seen]
 
     def movers(self) -> Bool[np.ndarray, " k"]:
         """Cells of the pieces that are large, or alone explain what moves in some cameras; the largest go first."""
-        place = np.round((self.cells - self.cells.min(0)) / self._cell).astype(int)
+        place = np.round((self.cells - self.cells.min(0)) / self.cell).astype(int)
         volume = np.zeros(place.max(0) + 1, dtype=bool)
         volume[tuple(place.T)] = True
         labels = np.empty(volume.shape, dtype=np.int32)
@@ -198,13 +307,13 @@ class _Hull:
         piece = labels[tuple(place.T)]
         sizes = np.bincount(piece)
         kept = np.zeros(len(piece), dtype=bool)
-        before = [np.zeros(int(seen.moved.sum()), dtype=bool) for seen in self._seen]
+        before = [np.zeros(int(seen.moved.sum()), dtype=bool) for seen in self.seen]
         for number in np.argsort(-sizes)[:MOST_PIECES]:
             mine = piece == number
-            shown = [seen.explained(mine) for seen in self._seen]
+            shown = [seen.explained(mine) for seen in self.seen]
             alone = sum(
                 (now & ~then).sum() >= MOVER_SHARE * seen.pixels
-                for seen, now, then in zip(self._seen, shown, before, strict=True)
+                for seen, now, then in zip(self.seen, shown, before, strict=True)
             )
             if mine.any() and (sizes[number] >= COMPONENT_SHARE * sizes.max() or alone >= MOVER_CAMERAS):
                 kept |= mine
@@ -219,8 +328,8 @@ class _Hull:
         outward = self.cells[:, side % 3] * (1 if side >= 3 else -1)
         inside = ((self.cells >= low) & (self.cells <= high)).all(1)
         outward, needed = np.where(inside, outward, np.inf), []
-        for seen, known in zip(self._seen, self._known, strict=True):
-            ends = np.sort(seen.lowest(outward))
+        for seen, known in zip(self.seen, self._known, strict=True):
+            ends = np.sort(seen.lowest(outward)[seen.moved])
             ends = ends[np.isfinite(ends)]
             gone = known - len(ends)
             needed.append([_end(ends, int(share * seen.pixels) - gone) for share in (SPARE, ALONE)])
@@ -238,9 +347,11 @@ def _inward(end: float, needed: float) -> float:
     return min(end, needed) if np.isfinite(needed) else end
 
 
-def _pixels(mask: MotionMask, world: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, " n"]:
-    """The pixel of a mask at which each point is, -1 where it is in no picture."""
-    height, width = mask.mask.shape
-    at = np.nan_to_num(mask.camera.project(world), nan=-1.0)
-    inside = (at >= 0).all(1) & (at < [width, height]).all(1)
-    return np.where(inside, at.clip(0, [width, height]).astype(int) @ [1, width], -1)
+def _view(camera: Camera, world: Float[np.ndarray, "n 3"], cell: float) -> _View:
+    """Where a camera sees cells of which these are the middles."""
+    at = np.nan_to_num(camera.project(world), nan=-1.0)
+    cells = np.flatnonzero((at >= 0).all(1) & (at < [camera.width, camera.height]).all(1))
+    pixel = at[cells].astype(int) @ [1, camera.width]
+    depth = (world[cells] - camera.centre) @ camera.cam_from_world[2, :3]
+    reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
+    return _View(cells, pixel, reach)

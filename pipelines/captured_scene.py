@@ -99,7 +99,7 @@ def scene_from_capture(
         distances,
         masks,
         "what moves" if mattes is None else "the subject's mattes",
-        lambda: stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
+        stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
         across(training(static + dynamic)),
     )
     context.health.extend(box_health(bounds, moves, mattes, dynamic, training(static)))
