@@ -44,6 +44,7 @@ Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
 METRICS = ("psnr", "ssim", "lpips_vgg", "lpips_alex")
 EXTRA_PICTURES = 12  # error maps and pictures at rest that are kept, spread over the views
 LEAST_MOVING = 1e-3  # of the picture; of fewer moving pixels a picture has no score, which noise would decide
+NO_TEST_CAMERA = "no test camera: name one under capture.test_cameras"
 NO_STILL = "no test camera that stands and has enough pictures; compare test with static_baseline.test"
 
 Scored = dict[str, float | None]
@@ -81,6 +82,7 @@ def evaluate(
     masks: Mapping[str, Bool[np.ndarray, "frames h w"]] | None = None,
     unshaded: Render | None = None,
     test_clocks: Mapping[str, Mapping[str, Any]] | None = None,
+    absent: str = NO_TEST_CAMERA,
 ) -> dict[str, Any]:
     """Render and score all test pictures; see the module's text for the blocks of the result.
 
@@ -95,6 +97,7 @@ def evaluate(
         unshaded: The model without its shading; None: it has none.
         test_clocks: Of test cameras whose clocks are not known `offset_s`, seconds by which their pictures were taken
             later than the scene says, found on those in even places, or None and `why`.
+        absent: Why the scene in motion has no test views, where it has none.
     Returns:
         `test`, `test_static`, `test_moving`, `test_rest`, `static_baseline`, `shading`, `per_view`, `still_pictures`,
         `render_fps`; with `test_clocks` also `test_moving_retimed`; with `confidence` also `confidence`: `test`,
@@ -131,7 +134,6 @@ def evaluate(
     nothing_held_out = "no sweep picture is held out"
     test_static = _block([v["scores"] for v in still_views], lpips, nothing_held_out)
     if scene.dynamic:
-        absent = "no test camera: name one under capture.test_cameras"
         test = _block([v["scores"] for v in views], lpips, absent)
     else:
         absent, test = "nothing moves in this capture", test_static

@@ -22,7 +22,7 @@ from devrf.pipelines.trained_scene import trained_scene
 from devrf.pipelines.unknown_clocks import unknown_clocks
 from devrf.reconstruct.confidence import Confidence
 from devrf.reconstruct.confidence_subject import subject_confidence
-from devrf.reconstruct.evaluate import LpipsNets, evaluate, motion_psnr
+from devrf.reconstruct.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
 TEST_VIEWS = "PSNR of test views"
@@ -45,6 +45,7 @@ def run(context: StageContext) -> None:
     metrics = evaluate(
         scene, renderer(model), lpips, context.out, context.progress, confidence, masks,
         None if plain is None else renderer(plain), unknown_clocks(context.run_dir),
+        why_no_test_views(config, context.run_dir),
     )  # fmt: skip
     metrics["confidence"] |= subject_confidence(scene, confidence)
     metrics |= {
@@ -57,6 +58,19 @@ def run(context: StageContext) -> None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
     context.health.extend(health(metrics, scene) + confidence_rows(metrics["confidence"]))
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+
+
+def why_no_test_views(config: SceneConfig, run_dir: Path) -> str:
+    """Why a test camera that scene.yaml names could not be measured with; without one, what to do."""
+    names = config.capture.test_names if config.capture is not None else ()
+    why: dict[str, str] = {}
+    for file in ("ingest/ingest.json", "rig/rig.json"):
+        why |= _read(run_dir / file).get("left_out", {})
+    told = [
+        f"test camera {name}: {why.get(name, 'it takes no picture while two training cameras film')}"
+        for name in names
+    ]
+    return "; ".join(told) or NO_TEST_CAMERA
 
 
 def lpips_nets(config: SceneConfig, scene_dir: Path, device: str) -> LpipsNets:
