@@ -231,6 +231,17 @@ def test_a_box_without_anything_solid_is_told():
     assert row.verdict == "warn" and isinstance(row.value, str) and "32 grey levels" in row.check
 
 
+def test_a_test_camera_without_a_place_is_named(tmp_path: Path) -> None:
+    capture = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}, "test_cameras": {"witness": "w.mp4"}}
+    config = SceneConfig.model_validate({"name": "room", "output": "run", "capture": capture})
+    assert evaluate.why_no_test_views(config, tmp_path).startswith("test camera witness: it takes no picture")
+    (tmp_path / "rig").mkdir()
+    (tmp_path / "rig" / "rig.json").write_text(json.dumps({"left_out": {"witness": "shares no view"}}))
+    assert evaluate.why_no_test_views(config, tmp_path) == "test camera witness: shares no view"
+    plain = SceneConfig.model_validate({"name": "room", "output": "run", "capture": {"static": "static.mp4"}})
+    assert evaluate.why_no_test_views(plain, tmp_path).startswith("no test camera")
+
+
 def test_no_truth_no_block(context: StageContext, monkeypatch):
     (context.scene_dir / "ground_truth.json").unlink()
     assert "truth" not in _run(context, monkeypatch)
