@@ -132,6 +132,15 @@ def test_true_pictures_stand_beside_at_the_times_that_were_trained_with(scene: P
     assert [entry["render_time"] for entry in found["camera_path"]] == [0.25, 0.25, 0.75, 1]
 
 
+def test_a_test_camera_whose_clock_is_not_known_is_shown_as_calibrated_and_that_is_said(scene: Path) -> None:
+    clock = {"std_s": 0.1, "offset_s": 0.5, "why": ""}
+    metrics = scene.parent / "run" / "deformation" / "metrics.json"
+    metrics.write_text(json.dumps({"test_clocks": {"witness": clock}}))
+    found = about(film(scene, path="still:witness", beside="witness", format="png", size=None))
+    assert [entry["render_time"] for entry in found["camera_path"]] == [0, 0.25, 0.75, 1]
+    assert any("witness is shown by its clock as it was calibrated" in note for note in found["notes"])
+
+
 def test_a_film_is_a_camera_path_that_is_filmed_again(scene: Path) -> None:
     """film.json leads to the same pictures, time standing still included."""
     first = film(scene, path="spiral", time="2.0s", format="png")
