@@ -297,6 +297,26 @@ def test_a_camera_that_films_seldom_says_where_points_come_from_at_its_own_time(
     assert np.allclose(asked[0][1], true[3]) and np.allclose(asked[2][1], true[0])
 
 
+@pytest.mark.full
+def test_a_swing_that_goes_on_for_long_is_followed_as_well_as_a_short_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the long clip every second picture is a moment."""
+    surface, card = on_cards()
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow.MOST_MOMENTS", 16)
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow.LONGEST_GAP_S", 1.0)
+    wrong = []
+    for swings in (1, 4):
+        true_times = 0.5 + 0.15 * np.sin(2 * np.pi * np.arange(8 * swings + 1) / 8)
+        films = filmed(tmp_path, true_times)
+        found = follow_both_ways(surface, Graph(surface), films, 0.0)[0]
+        assert len(found.times) == (9 if swings == 1 else 17)
+        true = true_tracks(surface, card, np.interp(found.times, films[0].times, true_times))
+        wrong.append(np.linalg.norm(found.xyz - true, axis=-1))
+    short, long = (np.median(off) for off in wrong)
+    assert short < 0.005 and long < 1.5 * short and np.median(wrong[1][-5:]) < 1.5 * short
+
+
 class Remembers:
     """A method of flow that says that nothing moves, and remembers what it was shown."""
 
