@@ -297,6 +297,22 @@ def test_a_camera_that_films_seldom_says_where_points_come_from_at_its_own_time(
     assert np.allclose(asked[0][1], true[3]) and np.allclose(asked[2][1], true[0])
 
 
+@pytest.mark.full
+def test_what_turns_back_between_the_moments_of_a_long_clip_is_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four pictures lie between two moments, in which things go to and fro by 17 pixels."""
+    surface, card = on_cards()
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow.MOST_MOMENTS", 8)
+    monkeypatch.setattr("devrf.reconstruct.tracking.follow.LONGEST_GAP_S", 1.0)
+    true_times = 0.12 * np.abs(np.arange(33) % 10 - 5) - 0.1
+    films = filmed(tmp_path, true_times)
+    found = follow_both_ways(surface, Graph(surface), films, 0.0)[0]
+    assert len(found.times) == 9
+    true = true_tracks(surface, card, np.interp(found.times, films[0].times, true_times))
+    assert np.median(np.linalg.norm(found.xyz - true, axis=-1)) < 0.01 and found.lost.mean() < 0.4
+
+
 class Remembers:
     """A method of flow that says that nothing moves, and remembers what it was shown."""
 
