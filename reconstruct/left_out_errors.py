@@ -1,7 +1,7 @@
 """How well a model explains what moves, by pixels that training leaves out, and whether another does better.
 
 Pictures of one camera at neighbouring moments are alike, so a hundred of them are far fewer than a hundred
-measurements: one model does better than another where the interval of its mean gain (`paired.gain_over_time`) lies
+measurements: one model does better than another where the interval of its mean gain (`paired.gain_within_clips`) lies
 above 0.
 """
 
@@ -18,7 +18,7 @@ from devrf.reconstruct.left_out import LeftOut
 from devrf.reconstruct.model import DynamicModel, Rendered, Seen
 from devrf.reconstruct.movers import Layered
 from devrf.reconstruct.moving_pixels import changing_pixels
-from devrf.reconstruct.paired import Gain, gain_over_time
+from devrf.reconstruct.paired import Gain, gain_within_clips
 from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
@@ -79,7 +79,8 @@ class Errors:
             raise ValueError("errors of no picture in common cannot be compared")
         two = (-10 * np.log10(mse) for mse in (self.mse[mine], other.mse[theirs]))
         with_it, without = (psnr.tolist() for psnr in two)
-        return gain_over_time(with_it, without, other.time[theirs].tolist())
+        cameras = [self.pictures[n][0] for n in mine]
+        return gain_within_clips(with_it, without, cameras, other.time[theirs].tolist())
 
 
 def gain_text(gain: Gain) -> str:

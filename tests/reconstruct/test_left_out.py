@@ -87,3 +87,14 @@ def test_pictures_of_both_are_compared_and_all_pixels_averaged() -> None:
     assert uneven.mean == pytest.approx((181 * 0.02 + 19 * 0.04) / 200)
     with pytest.raises(ValueError, match="in common"):
         one.gain_over(errors(np.full(3, 0.1), first=50))
+
+
+def test_what_grows_along_a_clip_is_no_chance() -> None:
+    """Twice as far from rest, twice the gain: from 0 to 1 dB, with a tenth of a dB of noise a picture."""
+    rng = np.random.default_rng(0)
+    grows = 10 ** (-0.1 * (np.linspace(0, 1, 40) + rng.normal(0, 0.1, 40)))
+    gain = errors(0.01 * grows).gain_over(errors(np.full(40, 0.01)))
+    assert gain.side() == 1 and gain.mean == pytest.approx(0.5, abs=0.05)
+    noise = 10 ** (-0.1 * rng.normal(0, 1.0, (200, 40)))
+    sides = [errors(0.01 * one).gain_over(errors(np.full(40, 0.01))).side() for one in noise]
+    assert np.mean(np.array(sides) == 0) >= 0.9  # nineteen of twenty are to hold

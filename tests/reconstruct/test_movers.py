@@ -596,9 +596,6 @@ def test_parts_are_soft_where_that_explains_more_than_chance(
     surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
     every[0] = replace(found, surface=surface, tracks=tracks, labels=np.zeros(len(xyz), int))
     session = ball_clips(ball, tmp_path, 2 * TIMES + 1, TRAVEL, stretch)
-    # As it grows from nothing a gain differs from moment to moment; it is asked when it is there.
-    late = tuple(f for f in session.dynamic if f.time is not None and (f.time == 0 or f.time > 0.5))
-    session = replace(session, dynamic=late)
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None
     (decision,) = metrics["decisions"]
