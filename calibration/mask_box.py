@@ -91,7 +91,9 @@ class MaskHull:
         """Corners of the smallest box that still explains what the masks show."""
         every = [self._hull(stretch) for stretch in (self._masks, *self._stretches)]
         low, high = self.box
-        return _drawn_in(low, high, [hull.only(hull.best()) for hull in every if hull is not None], self._cell)
+        return _drawn_in(
+            low, high, [hull.only(hull.best()) for hull in every if hull is not None], self._cell
+        )
 
     def _search(self, coarse: bool) -> bool:
         """Keep cells that belong to the hull; whether there are any."""
