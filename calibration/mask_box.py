@@ -1,10 +1,11 @@
 """The boxes of what masks of cameras show: of all in which they agree, and the smallest that still explains them.
 
 On a grid, what projects into every mask that sees it is a visual hull (Laurentini, PAMI 1994): one of all time, and one
-of each stretch of time. Where only two cameras look, hardly any mask speaks against it, and the hull reaches far from what
-moves: up to the cameras, and beyond. So of what a pixel may look at, at some time, only that counts in which most cameras
-agree. Cameras on one side cannot tell a thing from the space behind it either, nor from where lines of sight past different
-things cross; so the sides of the box may come in while nearly every pixel of each mask still looks at some of its hull.
+of each stretch of time. Where only two cameras look, hardly any mask speaks against it, and the hull reaches far from
+what moves: up to the cameras, and beyond. So of what a pixel may look at, at some time, only that counts in which most
+cameras agree. Cameras on one side cannot tell a thing from the space behind it either, nor from where lines of sight
+past different things cross; so the sides of the box may come in while nearly every pixel of each mask still looks at
+some of its hull.
 """
 
 from collections.abc import Sequence
@@ -19,9 +20,10 @@ from scipy import ndimage
 from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 
+BEYOND = 0.1  # of a picture's width: so far beyond it goes on what its border cuts
 GRID = 64  # cells per mean side of what is searched
-# Each search is within the box that the one before left. At first cells are large, and one of which any part may be in a
-# mask counts; then its middle has to be.
+# Each search is within the box that the one before left. At first cells are large, and one of which any part may be in
+# a mask counts; then its middle has to be.
 COARSE = True, True, False, False
 MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 # Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
@@ -121,7 +123,7 @@ class MaskHull:
     ) -> "_Hull | None":
         """What masks of some time agree on; None where that is nothing."""
         some = [
-            _Seen(*view, mask, self._pixels[n])
+            _Seen(view, mask, self._pixels[n])
             for n, view in zip(self._fine, self._views, strict=True)
             if (mask := stretch[n]) is not None and mask.mask.any()
         ]
@@ -139,7 +141,7 @@ def unexplained(
     box_from_up = box_from_world[:3, :3] / scale
     cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale)
     world = cells @ box_from_up
-    seen = [_Seen(*_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
+    seen = [_Seen(_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
     hull = _Hull.of(seen, cells, cell)
     everything = np.ones(len(hull.cells), dtype=bool)
     out = []
@@ -185,30 +187,33 @@ class _View(NamedTuple):
     Attributes:
         cells: Their numbers.
         pixel, reach: Where each is, and half the side of its square.
+        beyond, edge: Cells a little beyond the picture, and the pixel of its border next to each.
     """
 
     cells: Int[np.ndarray, " k"]
     pixel: Int[np.ndarray, " k"]
     reach: Int[np.ndarray, " k"]
+    beyond: Int[np.ndarray, " m"]
+    edge: Int[np.ndarray, " m"]
 
     def only(self, kept: Bool[np.ndarray, " n"]) -> "_View":
         """Some of the cells, which are numbered anew."""
-        mine, number = kept[self.cells], np.cumsum(kept) - 1
-        return _View(number[self.cells[mine]], self.pixel[mine], self.reach[mine])
+        number, mine, out = np.cumsum(kept) - 1, kept[self.cells], kept[self.beyond]
+        seen = number[self.cells[mine]], self.pixel[mine], self.reach[mine]
+        return _View(*seen, number[self.beyond[out]], self.edge[out])
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Cells of a hull in one camera's picture, as in `_View`, and the mask.
+    """Cells of a hull in one camera's picture, and the mask.
 
     Attributes:
+        view: The cells.
         mask: Of some time.
         pixels: Of the camera's mask of all time.
     """
 
-    cells: Int[np.ndarray, " k"]
-    pixel: Int[np.ndarray, " k"]
-    reach: Int[np.ndarray, " k"]
+    view: _View
     mask: MotionMask
     pixels: float
 
@@ -220,9 +225,9 @@ class _Seen:
     def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "h w"]:
         """Of the hull's cells the lowest value that each pixel looks at; infinite where there is none."""
         out = np.full(self.moved.shape, np.inf)
-        for reach in np.unique(self.reach).tolist():
-            mine, middle = self.reach == reach, np.full(self.moved.size, np.inf)
-            np.minimum.at(middle, self.pixel[mine], values[self.cells[mine]])
+        for reach in np.unique(self.view.reach).tolist():
+            mine, middle = self.view.reach == reach, np.full(self.moved.size, np.inf)
+            np.minimum.at(middle, self.view.pixel[mine], values[self.view.cells[mine]])
             middle = middle.reshape(self.moved.shape)
             around = ndimage.minimum_filter(middle, size=2 * reach + 1, mode="constant", cval=np.inf)
             out = np.minimum(out, around)
@@ -240,7 +245,7 @@ class _Hull:
     Attributes:
         cells: Its cells, in upright axes [n, 3], and their side.
         number: Of each cell among those that were asked.
-        cameras: How many show each.
+        cameras: How many show each, and those in which a silhouette is cut by the border next to it.
         whole: Whether all that see it do.
         seen: The cells in each camera.
     """
@@ -267,21 +272,20 @@ class _Hull:
             coarse: Any part of a cell may be in a mask.
             most_deny: Masks that may not show a cell that more show.
         """
-        agree, deny = np.zeros(len(cells), dtype=int), np.zeros(len(cells), dtype=int)
+        agree, deny, cut = np.zeros((3, len(cells)), dtype=int)
         for one in seen:
-            away = ndimage.distance_transform_cdt(~one.mask.mask, "chessboard").ravel()
-            shows = away[one.pixel] <= (one.reach if coarse else 0)
-            agree[one.cells] += shows
-            deny[one.cells] += ~shows
+            view, mask = one.view, one.mask.mask
+            away = ndimage.distance_transform_cdt(~mask, "chessboard").ravel()
+            shows = away[view.pixel] <= (view.reach if coarse else 0)
+            agree[view.cells] += shows
+            deny[view.cells] += ~shows
+            cut[view.beyond] += mask.ravel()[view.edge]
         kept = (agree >= 2 + deny) & (deny <= most_deny)
-        return cls(cells, cell, np.arange(len(cells)), agree, deny == 0, seen).only(kept)
+        return cls(cells, cell, np.arange(len(cells)), agree + cut, deny == 0, seen).only(kept)
 
     def only(self, kept: Bool[np.ndarray, " n"]) -> "_Hull":
         """Some of its cells."""
-        seen = []
-        for one in self.seen:
-            cells, pixel, reach = _View(one.cells, one.pixel, one.reach).only(kept)
-            seen.append(replace(one, cells=cells, pixel=pixel, reach=reach))
+        seen = [replace(one, view=one.view.only(kept)) for one in self.seen]
         of_cells = {name: getattr(self, name)[kept] for name in ("cells", "number", "cameras", "whole")}
         return replace(self, **of_cells, seen=seen)
 
@@ -290,7 +294,8 @@ class _Hull:
         out = np.zeros(len(self.cells), dtype=bool)
         for seen in self.seen:
             most = -seen.lowest(-self.cameras.astype(float))
-            out[seen.cells] |= self.cameras[seen.cells] >= most.ravel()[seen.pixel]
+            cells, pixel = seen.view.cells, seen.view.pixel
+            out[cells] |= self.cameras[cells] >= most.ravel()[pixel]
         return out & self.whole
 
     @cached_property
@@ -351,9 +356,12 @@ def _inward(end: float, needed: float) -> float:
 
 def _view(camera: Camera, world: Float[np.ndarray, "n 3"], cell: float) -> _View:
     """Where a camera sees cells of which these are the middles."""
-    at = np.nan_to_num(camera.project(world), nan=-1.0)
-    cells = np.flatnonzero((at >= 0).all(1) & (at < [camera.width, camera.height]).all(1))
+    at, size = camera.project(world), np.array([camera.width, camera.height])
+    inside = (at >= 0).all(1) & (at < size).all(1)
+    around = ~inside & (np.abs(at - size / 2) < size / 2 + BEYOND * camera.width).all(1)
+    cells, beyond = np.flatnonzero(inside), np.flatnonzero(around)
     pixel = at[cells].astype(int) @ [1, camera.width]
+    edge = at[beyond].clip(0, size - 1).astype(int) @ [1, camera.width]
     depth = (world[cells] - camera.centre) @ camera.cam_from_world[2, :3]
     reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
-    return _View(cells, pixel, reach)
+    return _View(cells, pixel, reach, beyond, edge)
