@@ -21,10 +21,10 @@ from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 
 BEYOND = 0.1  # of a picture's width: so far beyond it goes on what its border cuts
-GRID = 64  # cells per mean side of what is searched
 # Each search is within the box that the one before left. At first cells are large, and one of which any part may be in
-# a mask counts; then its middle has to be.
-COARSE = True, True, False, False
+# a mask counts; then its middle has to be. So many cells fill a mean side.
+COARSE, FINE = 40, 64
+SEARCHES = COARSE, COARSE, FINE, FINE
 MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 # Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
 # of what changes in so many cameras: those are small movers.
@@ -61,10 +61,10 @@ class MaskHull:
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
         found = None
-        for coarse in COARSE if len(fine) > 1 else ():
-            cells, cell = _grid(region)
+        for count in SEARCHES if len(fine) > 1 else ():
+            cells, cell = _grid(region, count)
             found = cls(masks, stretches, fine, box_from_up, cells, cell)
-            if not found._search(coarse):
+            if not found._search(coarse=count == COARSE):
                 return None
             region = found.box + cell * np.array([[-1.0], [1.0]])
         return found
@@ -139,7 +139,7 @@ def unexplained(
     """Pixels of each mask that look at nothing in the box in which the masks that see it agree."""
     scale = float(np.cbrt(np.linalg.det(box_from_world[:3, :3])))
     box_from_up = box_from_world[:3, :3] / scale
-    cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale)
+    cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale, FINE)
     world = cells @ box_from_up
     seen = [_Seen(_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
     hull = _Hull.of(seen, cells, cell)
@@ -152,10 +152,10 @@ def unexplained(
     return out
 
 
-def _grid(region: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """Middles of cubic cells that fill a region, and their side."""
+def _grid(region: Float[np.ndarray, "2 3"], count: int) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Middles of cubic cells, so many per mean side, that fill a region; and their side."""
     sides = np.ptp(region, axis=0)
-    cell = float(np.cbrt(sides.prod())) / GRID
+    cell = float(np.cbrt(sides.prod())) / count
     axes = [
         (low + high) / 2 + cell * (np.arange(n) - (n - 1) / 2)
         for low, high, n in zip(*region, np.ceil(sides / cell).astype(int), strict=True)

@@ -67,7 +67,8 @@ def box_health(
                 f"changing pixels that nothing in the box explains, worst camera ({name})",
                 100 * left[name].share if left else 0.0, "%", warn_above=100 * MOST_UNEXPLAINED,
                 remedy="What changes there no other camera shows in the box, and it is not modelled in motion: "
-                f"most of it is in {where}. Keep people and shadows out of the picture, or see that two cameras see all that moves.",
+                f"most of it is in {where}. Keep people and shadows out of the picture, or see that two cameras see "
+                "all that moves.",
             )  # fmt: skip
         cut = {name: found for name, m in moves.items() if (found := cut_off(m, *box)) is not None}
         name = max(cut, key=lambda n: cut[n].share, default="none")
