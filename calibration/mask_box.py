@@ -32,7 +32,9 @@ COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
 MOST_PIECES = 20  # that are asked, the largest first
 # Of a camera's mask of all time, so much may look past the box in each stretch of time; in one camera alone, more.
 SPARE, ALONE = 0.0025, 0.01
-OVERLAP = 3.0  # cells, from the middle of the last one: in pictures they are squares that overlap
+# Of the nearest camera's distance, beyond the last cell that is needed: pixels look at a thing's back and sides through
+# what bulges towards the cameras.
+BULGE = 0.04
 MOST_REACH_PX = 12  # half the side of a cell in a picture
 
 
@@ -81,7 +83,7 @@ class MaskHull:
         """Of cells with this side, by some of the masks."""
         self._masks, self._stretches, self._fine = masks, stretches, fine
         self._pixels = [float(mask.mask.sum()) for mask in masks]
-        self._cells, self._cell = cells, cell
+        self._box_from_up, self._cells, self._cell = box_from_up, cells, cell
         self._views = [_view(masks[n].camera, cells @ box_from_up, cell) for n in fine]
 
     @property
@@ -164,7 +166,7 @@ def _grid(region: Float[np.ndarray, "2 3"], count: int) -> tuple[Float[np.ndarra
 
 
 def _drawn_in(
-    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], hulls: "Sequence[_Hull]", cell: float
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], hulls: "Sequence[_Hull]", beyond: float
 ) -> Float[np.ndarray, "2 3"]:
     """The box with each side as far in as the hulls let it, that which gains most first."""
     ends = np.concatenate([-low, high])  # of each side, outwards
@@ -172,7 +174,7 @@ def _drawn_in(
     while left:
         low, high = -ends[:3], ends[3:]
         inward = {
-            side: _inward(ends[side], OVERLAP * cell + max(hull.needs(side, low, high) for hull in hulls))
+            side: _inward(ends[side], beyond + max(hull.needs(side, low, high) for hull in hulls))
             for side in left
         }
         best = max(left, key=lambda side: (ends[side] - inward[side]) / (high - low)[side % 3])
