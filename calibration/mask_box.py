@@ -34,7 +34,7 @@ MOST_PIECES = 20  # that are asked, the largest first
 SPARE, ALONE = 0.0025, 0.01
 # Of the nearest camera's distance, beyond the last cell that is needed: pixels look at a thing's back and sides through
 # what bulges towards the cameras.
-BULGE = 0.04
+BULGE = 0.08
 MOST_REACH_PX = 12  # half the side of a cell in a picture
 
 
