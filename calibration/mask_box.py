@@ -34,8 +34,8 @@ MOST_PIECES = 20  # that are asked, the largest first
 SPARE, ALONE = 0.0025, 0.01
 # Of the nearest camera's distance, beyond the last cell that is needed: pixels look at a thing's back and sides through
 # what bulges towards the cameras.
-BULGE = 0.08
-MOST_REACH_PX = 12  # half the side of a cell in a picture
+BULGE = 0.05
+REACHES_PX = np.array([1, 2, 4, 8, 12])  # half the side of a cell in a picture, rounded up: few, for speed
 
 
 class MaskHull:
@@ -94,10 +94,11 @@ class MaskHull:
     def smallest_box(self) -> Float[np.ndarray, "2 3"]:
         """Corners of the smallest box that still explains what the masks show."""
         every = [self._hull(stretch) for stretch in (self._masks, *self._stretches)]
+        hulls = [hull.only(hull.best()) for hull in every if hull is not None]
         low, high = self.box
-        return _drawn_in(
-            low, high, [hull.only(hull.best()) for hull in every if hull is not None], self._cell
-        )
+        middle = (low + high) / 2 @ self._box_from_up
+        nearest = min(np.linalg.norm(self._masks[n].camera.centre - middle) for n in self._fine)
+        return _drawn_in(low, high, hulls, BULGE * float(nearest))
 
     def _search(self, coarse: bool) -> bool:
         """Keep cells that belong to the hull; whether there are any."""
@@ -365,5 +366,6 @@ def _view(camera: Camera, world: Float[np.ndarray, "n 3"], cell: float) -> _View
     pixel = at[cells].astype(int) @ [1, camera.width]
     edge = at[beyond].clip(0, size - 1).astype(int) @ [1, camera.width]
     depth = (world[cells] - camera.centre) @ camera.cam_from_world[2, :3]
-    reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
+    half_px = 0.5 * cell * camera.K[0, 0] / depth
+    reach = REACHES_PX[np.searchsorted(REACHES_PX[:-1], half_px)]
     return _View(cells, pixel, reach, beyond, edge)
