@@ -20,7 +20,8 @@ from devrf.capture.view_axes import closest_point
 
 LEVEL_SPREAD = 0.3  # right axes that span a plane this clearly give the up direction
 FORWARD_MEAN = 0.85  # length of the mean view direction: near 1 all cameras look the same way
-SEARCH = 2.0
+SEARCH = 2.0  # times the median camera distance from the focus: nothing that moves is looked for farther away
+POINT_SPARE = 0.05  # of the extent of the sweep's points: beyond the outermost few
 STEPS = 21  # in which a box that is too large is drawn in
 HULL_MARGIN = 1.15  # motion blur and thin parts are missed; the dilated masks allow for most of it
 VOXEL = 1 / 20  # of the longest half side: a voxel of the coarsest grids, which every side has as margin
@@ -150,14 +151,18 @@ def _searched(
     cameras: Sequence[Camera],
     box_from_up: Float[np.ndarray, "3 3"],
 ) -> Float[np.ndarray, "2 3"]:
-    """Corners of where something may move: as far as the sweep's points go, where there are any."""
-    distance = float(np.median([np.linalg.norm(c.centre - focus) for c in cameras]))
-    widest = box_from_up @ focus + SEARCH * distance * np.array([[-1.0], [1.0]])
-    if len(points) < 30:
-        return widest
+    """Corners of where something may move: around the focus up to the cameras, and as far as the sweep's points go."""
+    middle, distance = box_from_up @ focus, [float(np.linalg.norm(c.centre - focus)) for c in cameras]
+    either = np.array([[-1.0], [1.0]])
+    around, widest = (
+        middle + reach * either for reach in (POINT_REACH * min(distance), SEARCH * np.median(distance))
+    )
+    if not len(points):
+        return around
     ends = np.percentile(points @ box_from_up.T, POINT_PERCENTILES, axis=0)
-    ends += 0.05 * np.ptp(ends, axis=0) * np.array([[-1.0], [1.0]])
-    return np.stack([np.maximum(widest[0], ends[0]), np.minimum(widest[1], ends[1])])
+    ends += POINT_SPARE * np.ptp(ends, axis=0) * either
+    low, high = np.minimum(around[0], ends[0]), np.maximum(around[1], ends[1])
+    return np.stack([np.maximum(widest[0], low), np.minimum(widest[1], high)])
 
 
 def _no_larger(

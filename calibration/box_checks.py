@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
+from devrf.calibration.mask_box import unexplained
 from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import SparsePoints
@@ -19,11 +20,11 @@ FAR_PIXELS = 3.0
 
 @dataclass(frozen=True)
 class CutOff:
-    """Something that moves beyond the box.
+    """Something that moves beyond the box, or that nothing in the box explains.
 
     Attributes:
         share: Of all that moves in the camera's picture.
-        place: Its middle, from the left and from the top, in the picture's sides.
+        place: Middle of its largest piece, from the left and from the top, in the picture's sides.
     """
 
     share: float
@@ -52,15 +53,20 @@ def cut_off(
 ) -> CutOff | None:
     """The largest thing that moves beyond the box in a camera's picture; shadows and light are none."""
     beyond = mask.moved & _misses(mask.camera, box_from_world, aabb)
-    pieces = np.empty(beyond.shape, dtype=np.int32)
-    if not ndimage.label(beyond, structure=np.ones((3, 3)), output=pieces):
-        return None
-    sizes = np.bincount(pieces.reshape(-1))
-    sizes[0] = 0
-    v, u = np.nonzero(pieces == sizes.argmax())
-    height, width = beyond.shape
-    share = float(sizes.max() / np.maximum(mask.moved.sum(), 1))
-    return CutOff(share, (float(u.mean() + 0.5) / width, float(v.mean() + 0.5) / height))
+    piece = _largest_piece(beyond)
+    return _found(piece, piece, mask.moved) if piece.any() else None
+
+
+def not_explained(
+    masks: Sequence[MotionMask], box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+) -> list[CutOff | None]:
+    """Of all that changes before each camera what looks at nothing in the box that others show changing, too."""
+    every = [MotionMask(mask.camera, mask.mask) for mask in masks]
+    left = unexplained(every, box_from_world, aabb)
+    return [
+        _found(pixels, _largest_piece(pixels), mask.mask) if pixels.any() else None
+        for mask, pixels in zip(masks, left, strict=True)
+    ]
 
 
 def seen_by_fewer(
@@ -119,6 +125,24 @@ def points_of_subject(
     keep = 2 * np.bincount(points.obs_point, inside, len(points.xyz)) > sightings
     number, seen = np.cumsum(keep) - 1, keep[points.obs_point]
     return SparsePoints(points.xyz[keep], number[points.obs_point[seen]], points.obs_frame[seen])
+
+
+def _largest_piece(pixels: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    pieces = np.empty(pixels.shape, dtype=np.int32)
+    ndimage.label(pixels, structure=np.ones((3, 3)), output=pieces)
+    sizes = np.bincount(pieces.reshape(-1))
+    sizes[0] = 0
+    return (pieces == sizes.argmax()) & pixels
+
+
+def _found(
+    pixels: Bool[np.ndarray, "h w"], piece: Bool[np.ndarray, "h w"], of: Bool[np.ndarray, "h w"]
+) -> CutOff:
+    """Pixels' share of others, and the middle of a piece of them."""
+    v, u = np.nonzero(piece)
+    height, width = pixels.shape
+    share = float(pixels.sum() / np.maximum(of.sum(), 1))
+    return CutOff(share, (float(u.mean() + 0.5) / width, float(v.mean() + 0.5) / height))
 
 
 def _misses(

@@ -1,10 +1,11 @@
 """The boxes of what masks of cameras show: of all in which they agree, and the smallest that still explains them.
 
 On a grid, what projects into every mask that sees it is a visual hull (Laurentini, PAMI 1994): one of all time, and one
-of each stretch of time. Where only two cameras look, hardly any mask speaks against it, and the hull reaches far from what
-moves: up to the cameras, and beyond. So of what a pixel may look at, at some time, only that counts in which most cameras
-agree. Cameras on one side cannot tell a thing from the space behind it either, nor from where lines of sight past different
-things cross; so the sides of the box may come in while nearly every pixel of each mask still looks at some of its hull.
+of each stretch of time. Where only two cameras look, hardly any mask speaks against it, and the hull reaches far from
+what moves: up to the cameras, and beyond. So of what a pixel may look at, at some time, only that counts in which most
+cameras agree. Cameras on one side cannot tell a thing from the space behind it either, nor from where lines of sight
+past different things cross; so the sides of the box may come in while nearly every pixel of each mask still looks at
+some of its hull.
 """
 
 from collections.abc import Sequence
@@ -19,10 +20,11 @@ from scipy import ndimage
 from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 
-GRID = 64  # cells per mean side of what is searched
-# Each search is within the box that the one before left. At first cells are large, and one of which any part may be in a
-# mask counts; then its middle has to be.
-COARSE = True, True, False, False
+BEYOND = 0.1  # of a picture's width: so far beyond it goes on what its border cuts
+# Each search is within the box that the one before left. At first cells are large, and one of which any part may be in
+# a mask counts; then its middle has to be. So many cells fill a mean side.
+COARSE, FINE = 40, 64
+SEARCHES = COARSE, COARSE, FINE, FINE
 MAX_MOVING_SHARE = 0.7  # a mask larger than this is an exposure change or a moved camera, not a subject
 # Pieces of the hull smaller than this share of the largest are noise and shadows, unless they alone explain this share
 # of what changes in so many cameras: those are small movers.
@@ -30,8 +32,10 @@ COMPONENT_SHARE, MOVER_SHARE, MOVER_CAMERAS = 0.15, 0.02, 2
 MOST_PIECES = 20  # that are asked, the largest first
 # Of a camera's mask of all time, so much may look past the box in each stretch of time; in one camera alone, more.
 SPARE, ALONE = 0.0025, 0.01
-OVERLAP = 3.0  # cells, from the middle of the last one: in pictures they are squares that overlap
-MOST_REACH_PX = 12  # half the side of a cell in a picture
+# Of the nearest camera's distance, beyond the last cell that is needed: pixels look at a thing's back and sides through
+# what bulges towards the cameras.
+BULGE = 0.05
+REACHES_PX = np.array([1, 2, 4, 8, 12])  # half the side of a cell in a picture, rounded up: few, for speed
 
 
 class MaskHull:
@@ -59,10 +63,10 @@ class MaskHull:
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
         found = None
-        for coarse in COARSE if len(fine) > 1 else ():
-            cells, cell = _grid(region)
+        for count in SEARCHES if len(fine) > 1 else ():
+            cells, cell = _grid(region, count)
             found = cls(masks, stretches, fine, box_from_up, cells, cell)
-            if not found._search(coarse):
+            if not found._search(coarse=count == COARSE):
                 return None
             region = found.box + cell * np.array([[-1.0], [1.0]])
         return found
@@ -79,7 +83,7 @@ class MaskHull:
         """Of cells with this side, by some of the masks."""
         self._masks, self._stretches, self._fine = masks, stretches, fine
         self._pixels = [float(mask.mask.sum()) for mask in masks]
-        self._cells, self._cell = cells, cell
+        self._box_from_up, self._cells, self._cell = box_from_up, cells, cell
         self._views = [_view(masks[n].camera, cells @ box_from_up, cell) for n in fine]
 
     @property
@@ -90,10 +94,11 @@ class MaskHull:
     def smallest_box(self) -> Float[np.ndarray, "2 3"]:
         """Corners of the smallest box that still explains what the masks show."""
         every = [self._hull(stretch) for stretch in (self._masks, *self._stretches)]
+        hulls = [hull.only(hull.best()) for hull in every if hull is not None]
         low, high = self.box
-        return _drawn_in(
-            low, high, [hull.only(hull.best()) for hull in every if hull is not None], self._cell
-        )
+        middle = (low + high) / 2 @ self._box_from_up
+        nearest = min(np.linalg.norm(self._masks[n].camera.centre - middle) for n in self._fine)
+        return _drawn_in(low, high, hulls, BULGE * float(nearest))
 
     def _search(self, coarse: bool) -> bool:
         """Keep cells that belong to the hull; whether there are any."""
@@ -121,7 +126,7 @@ class MaskHull:
     ) -> "_Hull | None":
         """What masks of some time agree on; None where that is nothing."""
         some = [
-            _Seen(*view, mask, self._pixels[n])
+            _Seen(view, mask, self._pixels[n])
             for n, view in zip(self._fine, self._views, strict=True)
             if (mask := stretch[n]) is not None and mask.mask.any()
         ]
@@ -137,9 +142,9 @@ def unexplained(
     """Pixels of each mask that look at nothing in the box in which the masks that see it agree."""
     scale = float(np.cbrt(np.linalg.det(box_from_world[:3, :3])))
     box_from_up = box_from_world[:3, :3] / scale
-    cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale)
+    cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale, FINE)
     world = cells @ box_from_up
-    seen = [_Seen(*_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
+    seen = [_Seen(_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
     hull = _Hull.of(seen, cells, cell)
     everything = np.ones(len(hull.cells), dtype=bool)
     out = []
@@ -150,10 +155,10 @@ def unexplained(
     return out
 
 
-def _grid(region: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """Middles of cubic cells that fill a region, and their side."""
+def _grid(region: Float[np.ndarray, "2 3"], count: int) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """Middles of cubic cells, so many per mean side, that fill a region; and their side."""
     sides = np.ptp(region, axis=0)
-    cell = float(np.cbrt(sides.prod())) / GRID
+    cell = float(np.cbrt(sides.prod())) / count
     axes = [
         (low + high) / 2 + cell * (np.arange(n) - (n - 1) / 2)
         for low, high, n in zip(*region, np.ceil(sides / cell).astype(int), strict=True)
@@ -162,7 +167,7 @@ def _grid(region: Float[np.ndarray, "2 3"]) -> tuple[Float[np.ndarray, "n 3"], f
 
 
 def _drawn_in(
-    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], hulls: "Sequence[_Hull]", cell: float
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], hulls: "Sequence[_Hull]", beyond: float
 ) -> Float[np.ndarray, "2 3"]:
     """The box with each side as far in as the hulls let it, that which gains most first."""
     ends = np.concatenate([-low, high])  # of each side, outwards
@@ -170,7 +175,7 @@ def _drawn_in(
     while left:
         low, high = -ends[:3], ends[3:]
         inward = {
-            side: _inward(ends[side], OVERLAP * cell + max(hull.needs(side, low, high) for hull in hulls))
+            side: _inward(ends[side], beyond + max(hull.needs(side, low, high) for hull in hulls))
             for side in left
         }
         best = max(left, key=lambda side: (ends[side] - inward[side]) / (high - low)[side % 3])
@@ -185,30 +190,33 @@ class _View(NamedTuple):
     Attributes:
         cells: Their numbers.
         pixel, reach: Where each is, and half the side of its square.
+        beyond, edge: Cells a little beyond the picture, and the pixel of its border next to each.
     """
 
     cells: Int[np.ndarray, " k"]
     pixel: Int[np.ndarray, " k"]
     reach: Int[np.ndarray, " k"]
+    beyond: Int[np.ndarray, " m"]
+    edge: Int[np.ndarray, " m"]
 
     def only(self, kept: Bool[np.ndarray, " n"]) -> "_View":
         """Some of the cells, which are numbered anew."""
-        mine, number = kept[self.cells], np.cumsum(kept) - 1
-        return _View(number[self.cells[mine]], self.pixel[mine], self.reach[mine])
+        number, mine, out = np.cumsum(kept) - 1, kept[self.cells], kept[self.beyond]
+        seen = number[self.cells[mine]], self.pixel[mine], self.reach[mine]
+        return _View(*seen, number[self.beyond[out]], self.edge[out])
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """Cells of a hull in one camera's picture, as in `_View`, and the mask.
+    """Cells of a hull in one camera's picture, and the mask.
 
     Attributes:
+        view: The cells.
         mask: Of some time.
         pixels: Of the camera's mask of all time.
     """
 
-    cells: Int[np.ndarray, " k"]
-    pixel: Int[np.ndarray, " k"]
-    reach: Int[np.ndarray, " k"]
+    view: _View
     mask: MotionMask
     pixels: float
 
@@ -220,9 +228,9 @@ class _Seen:
     def lowest(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "h w"]:
         """Of the hull's cells the lowest value that each pixel looks at; infinite where there is none."""
         out = np.full(self.moved.shape, np.inf)
-        for reach in np.unique(self.reach).tolist():
-            mine, middle = self.reach == reach, np.full(self.moved.size, np.inf)
-            np.minimum.at(middle, self.pixel[mine], values[self.cells[mine]])
+        for reach in np.unique(self.view.reach).tolist():
+            mine, middle = self.view.reach == reach, np.full(self.moved.size, np.inf)
+            np.minimum.at(middle, self.view.pixel[mine], values[self.view.cells[mine]])
             middle = middle.reshape(self.moved.shape)
             around = ndimage.minimum_filter(middle, size=2 * reach + 1, mode="constant", cval=np.inf)
             out = np.minimum(out, around)
@@ -240,7 +248,7 @@ class _Hull:
     Attributes:
         cells: Its cells, in upright axes [n, 3], and their side.
         number: Of each cell among those that were asked.
-        cameras: How many show each.
+        cameras: How many show each, and those in which a silhouette is cut by the border next to it.
         whole: Whether all that see it do.
         seen: The cells in each camera.
     """
@@ -267,21 +275,20 @@ class _Hull:
             coarse: Any part of a cell may be in a mask.
             most_deny: Masks that may not show a cell that more show.
         """
-        agree, deny = np.zeros(len(cells), dtype=int), np.zeros(len(cells), dtype=int)
+        agree, deny, cut = np.zeros((3, len(cells)), dtype=int)
         for one in seen:
-            away = ndimage.distance_transform_cdt(~one.mask.mask, "chessboard").ravel()
-            shows = away[one.pixel] <= (one.reach if coarse else 0)
-            agree[one.cells] += shows
-            deny[one.cells] += ~shows
+            view, mask = one.view, one.mask.mask
+            away = ndimage.distance_transform_cdt(~mask, "chessboard").ravel()
+            shows = away[view.pixel] <= (view.reach if coarse else 0)
+            agree[view.cells] += shows
+            deny[view.cells] += ~shows
+            cut[view.beyond] += mask.ravel()[view.edge]
         kept = (agree >= 2 + deny) & (deny <= most_deny)
-        return cls(cells, cell, np.arange(len(cells)), agree, deny == 0, seen).only(kept)
+        return cls(cells, cell, np.arange(len(cells)), agree + cut, deny == 0, seen).only(kept)
 
     def only(self, kept: Bool[np.ndarray, " n"]) -> "_Hull":
         """Some of its cells."""
-        seen = []
-        for one in self.seen:
-            cells, pixel, reach = _View(one.cells, one.pixel, one.reach).only(kept)
-            seen.append(replace(one, cells=cells, pixel=pixel, reach=reach))
+        seen = [replace(one, view=one.view.only(kept)) for one in self.seen]
         of_cells = {name: getattr(self, name)[kept] for name in ("cells", "number", "cameras", "whole")}
         return replace(self, **of_cells, seen=seen)
 
@@ -290,7 +297,8 @@ class _Hull:
         out = np.zeros(len(self.cells), dtype=bool)
         for seen in self.seen:
             most = -seen.lowest(-self.cameras.astype(float))
-            out[seen.cells] |= self.cameras[seen.cells] >= most.ravel()[seen.pixel]
+            cells, pixel = seen.view.cells, seen.view.pixel
+            out[cells] |= self.cameras[cells] >= most.ravel()[pixel]
         return out & self.whole
 
     @cached_property
@@ -351,9 +359,13 @@ def _inward(end: float, needed: float) -> float:
 
 def _view(camera: Camera, world: Float[np.ndarray, "n 3"], cell: float) -> _View:
     """Where a camera sees cells of which these are the middles."""
-    at = np.nan_to_num(camera.project(world), nan=-1.0)
-    cells = np.flatnonzero((at >= 0).all(1) & (at < [camera.width, camera.height]).all(1))
+    at, size = camera.project(world), np.array([camera.width, camera.height])
+    inside = (at >= 0).all(1) & (at < size).all(1)
+    around = ~inside & (np.abs(at - size / 2) < size / 2 + BEYOND * camera.width).all(1)
+    cells, beyond = np.flatnonzero(inside), np.flatnonzero(around)
     pixel = at[cells].astype(int) @ [1, camera.width]
+    edge = at[beyond].clip(0, size - 1).astype(int) @ [1, camera.width]
     depth = (world[cells] - camera.centre) @ camera.cam_from_world[2, :3]
-    reach = np.ceil(0.5 * cell * camera.K[0, 0] / depth).clip(1, MOST_REACH_PX).astype(int)
-    return _View(cells, pixel, reach)
+    half_px = 0.5 * cell * camera.K[0, 0] / depth
+    reach = REACHES_PX[np.searchsorted(REACHES_PX[:-1], half_px)]
+    return _View(cells, pixel, reach, beyond, edge)

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds
-from devrf.calibration.box_checks import cut_off, not_swept
+from devrf.calibration.box_checks import cut_off, not_explained, not_swept, outside_box
 from devrf.calibration.intrinsics import guess
 from devrf.calibration.mask_box import MaskHull
 from devrf.calibration.motion_masks import MotionMask, motion_mask
@@ -14,6 +14,7 @@ from devrf.capture.view_axes import look_at
 
 BALL = np.array([0.4, -0.3, 0.2])
 RADIUS = 0.3
+AROUND = np.array([[-2.2] * 3, [2.2] * 3])
 CAMERA = guess(120, 90).at(np.eye(3, 4))
 
 
@@ -123,8 +124,8 @@ def test_focus_ignores_a_camera_that_looks_away():
 def test_masks_that_contradict_give_no_hull():
     fixed = ring(2, 1.0)
     masks = [ball_mask(fixed[0]), ball_mask(fixed[1], BALL + [0.0, 0.0, 0.9], 0.1)]
-    assert MaskHull.of(masks, np.zeros(3), np.eye(3)) is None
-    assert MaskHull.of(masks[:1], np.zeros(3), np.eye(3)) is None
+    assert MaskHull.of(masks, AROUND, np.eye(3)) is None
+    assert MaskHull.of(masks[:1], AROUND, np.eye(3)) is None
 
 
 def test_motion_mask_sees_motion_but_neither_noise_nor_exposure():
@@ -245,9 +246,9 @@ def test_the_box_is_no_larger_than_explains_what_moves() -> None:
         return [MotionMask(c, np.any([ball_mask(c, b, radius).mask for b in balls], axis=0)) for c in fixed]
 
     stretches = [masks(range(n, n + 3)) for n in range(0, count - 1, 2)]
-    hull = MaskHull.of(masks(range(count)), focus_point(fixed), np.eye(3))
+    hull = MaskHull.of(masks(range(count)), AROUND, np.eye(3), stretches)
     assert hull is not None
-    whole, smallest = hull.box, hull.smallest_box(stretches)
+    whole, smallest = hull.box, hull.smallest_box()
     assert (whole[0] <= smallest[0]).all() and (whole[1] >= smallest[1]).all()
     balls = ways.reshape(-1, 3)
     sides = np.ptp(smallest, axis=0)
@@ -280,11 +281,15 @@ def test_where_light_alone_changes_the_box_is_what_masks_agree_on() -> None:
 def test_a_camera_that_does_not_film_in_a_stretch_says_nothing_of_it() -> None:
     fixed = ring(4, 2.2)
     masks = [ball_mask(c) for c in fixed]
-    hull = MaskHull.of(masks, focus_point(fixed), np.eye(3))
-    assert hull is not None
-    whole = hull.smallest_box([])
-    np.testing.assert_array_equal(hull.smallest_box([[masks[0], None, None, None]]), whole)
-    some = hull.smallest_box([[masks[0], None, *masks[2:]]])
+
+    def smallest(*stretches: list[MotionMask | None]) -> np.ndarray:
+        hull = MaskHull.of(masks, AROUND, np.eye(3), stretches)
+        assert hull is not None
+        return hull.smallest_box()
+
+    whole = smallest()
+    np.testing.assert_array_equal(smallest([masks[0], None, None, None]), whole)
+    some = smallest([masks[0], None, *masks[2:]])
     assert (some[0] <= whole[0] + 1e-9).all() and (some[1] >= whole[1] - 1e-9).all()
 
 
@@ -324,6 +329,55 @@ def test_a_mover_beyond_the_box_is_found_with_its_place() -> None:
     assert found is not None and found.place == pytest.approx((0.05, 25 / 150), abs=0.01)
     assert found.share == pytest.approx(600 / passed.sum())
     assert cut_off(MotionMask(fixed[1], passed, pattern=masks[1].mask), *box) is None
+
+
+CURTAIN = [-1.5, 2.6, 0.55] + np.random.default_rng(0).uniform(-1, 1, (4000, 3)) * [0.2, 0.05, 0.4]
+
+
+def with_points(mask: MotionMask, points: np.ndarray) -> MotionMask:
+    """A mask with what a camera sees of points, and a little around."""
+    camera = mask.camera
+    at = np.nan_to_num(camera.project(points), nan=-1.0)
+    u, v = at[((at >= 0) & (at < [camera.width, camera.height])).all(1)].astype(int).T
+    more = np.zeros_like(mask.mask)
+    more[v, u] = True
+    return MotionMask(camera, mask.mask | binary_dilation(more, np.ones((5, 5))))
+
+
+def test_a_curtain_that_only_two_of_four_cameras_film_is_in_the_box_or_named() -> None:
+    """It waves far behind the focus, farther from it than the nearest camera."""
+    fixed, points = ring(4, 2.2), room(np.random.default_rng(0))
+    masks = [with_points(ball_mask(c, np.zeros(3), 0.2), CURTAIN) for c in fixed]
+    before = [ball_mask(c, np.zeros(3), 0.2) for c in fixed]
+    of_curtain = [float((m.mask & ~b.mask).sum() / m.mask.sum()) for m, b in zip(masks, before, strict=True)]
+    assert [share > 0.1 for share in of_curtain] == [False, False, True, True]
+    bounds = scene_bounds(fixed, fixed, points, np.full(100, 3.0), masks)
+    assert (np.abs(in_box(bounds, CURTAIN)) <= bounds.aabb[1]).all()
+    assert all(found is None for found in not_explained(masks, bounds.box_from_world, bounds.aabb))
+
+    around = bounds.box_from_world.copy()
+    around[:3, 3] = 0.0  # a box around the focus, up to the cameras: every ray to the curtain meets it
+    aabb = AROUND * np.cbrt(np.linalg.det(around[:3, :3]))
+    assert outside_box(masks[3].mask[None], fixed[3], around, aabb)[0] == 0
+    named = not_explained(masks, around, aabb)
+    assert [found is not None and found.share > 0.15 for found in named] == [False, False, True, True]
+
+
+def test_silhouettes_that_are_cut_by_the_border_leave_the_box_tight() -> None:
+    """Cameras so near that each sees some of three balls only: without a fifth one farther away, too."""
+    balls = np.array([[-0.6, 0.0, 0.0], [0.0, 0.0, 0.3], [0.6, 0.2, 0.0]])
+    near = ring(4, 1.6, 1.2)
+
+    def size(cameras: list[Camera]) -> float:
+        masks = [
+            MotionMask(c, np.any([ball_mask(c, ball, 0.12).mask for ball in balls], axis=0)) for c in cameras
+        ]
+        points = room(np.random.default_rng(0))
+        bounds = scene_bounds(near, cameras, points, np.full(100, 3.0), masks)
+        assert (np.abs(in_box(bounds, balls)) <= bounds.aabb[1]).all()
+        return float(bounds.size.prod())
+
+    assert size(near) < 1.2 * size([*near, camera_at(np.array([0.3, -2.5, 0.8]), np.zeros(3))])
 
 
 @pytest.mark.parametrize(
