@@ -278,7 +278,7 @@ class _Hull:
         agree, deny, cut = np.zeros((3, len(cells)), dtype=int)
         for one in seen:
             view, mask = one.view, one.mask.mask
-            away = ndimage.distance_transform_cdt(~mask, "chessboard").ravel()
+            away = np.asarray(ndimage.distance_transform_cdt(~mask, "chessboard")).ravel()
             shows = away[view.pixel] <= (view.reach if coarse else 0)
             agree[view.cells] += shows
             deny[view.cells] += ~shows

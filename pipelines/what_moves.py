@@ -16,7 +16,7 @@ from devrf.capture.pictures import read_grey
 from devrf.reconstruct.pictures import spread
 
 FEWEST_PICTURES = 3  # of which a mask is made
-STRETCHES = 12  # of the modelled time: of four pictures each in long clips; by half as many more is cut off
+STRETCHES = 12  # of the modelled time: of four pictures each in long clips
 
 
 class FilmedClip(NamedTuple):
