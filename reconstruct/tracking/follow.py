@@ -125,10 +125,11 @@ def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, 
 
 
 def _second(films: Sequence[Film]) -> float:
-    """How long a second is in the scene's time."""
+    """How long a second is in the scene's time; infinite for a data set whose times are no seconds."""
     longest = max(films, key=lambda film: np.ptp(film.times))
     first_s, last_s = longest.frames[0].time_s, longest.frames[-1].time_s
-    assert first_s is not None and last_s is not None  # they are no pictures of a sweep
+    if first_s is None or last_s is None:
+        return np.inf
     return float(longest.times[-1] - longest.times[0]) / (last_s - first_s)
 
 
