@@ -123,7 +123,7 @@ def rig_from_sweep(
 
 
 def _with_standing(model: SweepModel, rig: SweepRig) -> SweepModel:
-    """The model with more cameras and what they see, for a refinement; features of these are not kept."""
+    """The model with more cameras and what they see, for a refinement; how that looks is not kept."""
     S, seen = len(model.cameras), list(rig.registrations.values())
     counts = [len(r.points) for r in seen]
     return replace(
@@ -133,6 +133,7 @@ def _with_standing(model: SweepModel, rig: SweepRig) -> SweepModel:
         obs_point=np.concatenate([model.obs_point, *(r.points for r in seen)]),
         obs_image=np.concatenate([model.obs_image, np.repeat(S + np.arange(len(seen)), counts)]),
         obs_xy=np.concatenate([model.obs_xy, *(r.xy for r in seen)]),
+        obs_descriptor=np.concatenate([model.obs_descriptor, np.zeros((sum(counts), 128), np.uint8)]),
     )
 
 
