@@ -219,9 +219,12 @@ class Follower:
     ) -> Pose:
         """The same where nothing is lost; else with what is lost where another guess leads to what pictures show.
 
-        What is not found by that is looked for again only some moments later: looking takes long.
+        What is not found by that is looked for again only some moments later, all of it at once, or together with what
+        is lost then: looking takes long.
         """
-        if moment - self.sought >= SEEK_EVERY and self.lost_nodes.sum() >= FEWEST_LOST:
+        new = self.lost_nodes & ~self.nodes_lost[-1]
+        due = moment - self.sought >= SEEK_EVERY or new.sum() >= FEWEST_LOST
+        if due and self.lost_nodes.sum() >= FEWEST_LOST:
             asked = self._points(self.lost_nodes)
             for guess in self._guesses(shots, found, expected, moment):
                 begin = _with(found, guess, np.flatnonzero(self.lost_nodes))

@@ -19,7 +19,7 @@ CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
 HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
 HUBER_SHOWN = 5.0  # pixels: clocks that are wrong leave more than tracks that are
 FEWEST_SEEN, FEWEST_ASKED = 20, 5  # points, of which a camera says something; of those that are asked about
-MARGIN_PX = 48  # around points: what is farther away is not looked at
+MARGIN_PX = 48  # around points that are asked about
 DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
 
 
@@ -85,18 +85,10 @@ class Shot:
         film, at, off = self.film, sight.at[points], np.zeros(len(points), np.float32)
         high = film.wide if far else film.sharp
         for n in range(begin, self.n):
-            first, cut = (np.zeros(2), np.s_[:, :]) if far else self._around(at)
-            flow, missed = film.flow(*(film.for_flow(film.picture(k)[cut], high(k)[cut]) for k in (n, n + 1)))
-            off += sampled(missed, at - first) ** 2
-            at = at + sampled(flow, at - first)
+            flow, missed = film.flow(*(film.for_flow(film.picture(k), high(k)) for k in (n, n + 1)))
+            off += sampled(missed, at) ** 2
+            at = at + sampled(flow, at)
         self.came = points, at, np.exp(-off)
-
-    def _around(self, at: Float[np.ndarray, "m 2"]) -> tuple[Float[np.ndarray, " 2"], tuple[slice, slice]]:
-        """The first pixel of the piece of the picture around some places, and the piece."""
-        size = np.array([self.film.camera.width, self.film.camera.height])
-        first = np.clip(at.min(0) - MARGIN_PX, 0, size - 1).astype(int)
-        last = np.clip(at.max(0) + MARGIN_PX, first + 1, size).astype(int)
-        return first.astype(float), np.s_[first[1] : last[1], first[0] : last[0]]
 
     def look(
         self,
@@ -108,7 +100,7 @@ class Shot:
     ) -> None:
         """Draw what the picture should show with points at `xyz`, and hold it against the picture.
 
-        Only what is around the points is looked at. Where only some are asked about, nothing is said of others.
+        Where only some points are asked about, what is around them is looked at, and nothing else is said.
         """
         sight = Sight(self.film, xyz, normals, surface.spacing)
         self.points, fewest = self.templates.known(sight), FEWEST_SEEN
@@ -118,10 +110,13 @@ class Shot:
             self.points = self.points[:0]
             return
         at = sight.at[self.points]
+        first, cut = np.zeros(2), np.s_[:, :]
         if asked is not None:
             self.came = self.points[:0], at[:0], np.zeros(0)
-        first, cut = self._around(at)
-        film, picture = self.film, self.templates.draw(sight, surface.rgb.astype(np.float32), cut)
+            first = np.maximum(at.min(0) - MARGIN_PX, 0).astype(int)
+            last = (at.max(0) + MARGIN_PX).astype(int)
+            cut = np.s_[first[1] : last[1], first[0] : last[0]]
+        film, picture = self.film, self.templates.draw(sight, surface.rgb.astype(np.float32))[cut]
         drawn, real = film.high_pass(picture), np.ascontiguousarray(film.sharp(self.n)[cut])
         self.at, inside = at, at - first
         flow, missed = film.flow(

@@ -6,7 +6,7 @@ from scipy.ndimage import minimum_filter
 from devrf.reconstruct.tracking.film import Film, Picture, blurred, fetched
 from devrf.reconstruct.tracking.sight import Sight
 
-EVEN_PX = 1.5  # standard deviation by which the warp is made smooth
+EVEN_PX, REACH = 1.5, 8  # standard deviation by which the warp is made smooth; pixels beyond its kernel
 FEWEST = 15  # points that are worth another picture
 LIKE_PX = 1.2  # blur of pictures that are held against what stands
 NONE = -1
@@ -39,29 +39,23 @@ class Templates:
         """Numbers of the points that are seen now and have a template."""
         return np.flatnonzero(sight.seen & (self.picture != NONE))
 
-    def draw(self, sight: Sight, rgb: np.ndarray, cut: tuple[slice, slice]) -> Picture:
-        """A piece of the picture that the film should show: points by their templates, or colours, before what stands.
-
-        Args:
-            sight: Of the points.
-            rgb: Their colours, of which those count that have no template.
-            cut: Rows and columns of the piece.
-        """
-        picture, ids = self.film.plate[cut].copy(), sight.ids[cut]
-        corner = np.array([cut[1].start, cut[0].start])
-        y, x = np.nonzero(ids >= 0)
-        point = ids[y, x]
+    def draw(self, sight: Sight, rgb: np.ndarray) -> Picture:
+        """The picture that the film should show: points by their templates, or colours, before what stands."""
+        picture = self.film.plate.copy()
+        y, x = np.nonzero(sight.ids >= 0)
+        point = sight.ids[y, x]
         source = self.picture[point]
         picture[y[source == NONE], x[source == NONE]] = rgb[point[source == NONE]]
         for n in np.unique(source[source != NONE]):
             mine = source == n
             row, column, who = y[mine], x[mine], point[mine]
-            drawn = np.zeros(ids.shape, np.float32)
-            drawn[row, column] = 1
-            way = np.zeros((*ids.shape, 2), np.float32)
-            way[row, column] = self.at[who] - sight.at[who]
-            way = blurred(way, EVEN_PX)[row, column]
-            way /= np.maximum(blurred(drawn, EVEN_PX)[row, column], 1e-6)[:, None]
-            at = (np.stack([column, row], 1) + corner + way).astype(np.float32)
+            top, left = max(0, row.min() - REACH), max(0, column.min() - REACH)
+            piece = np.s_[top : row.max() + REACH + 1, left : column.max() + REACH + 1]
+            here, size = (row - top, column - left), sight.ids[piece].shape
+            drawn, way = np.zeros(size, np.float32), np.zeros((*size, 2), np.float32)
+            drawn[here], way[here] = 1, self.at[who] - sight.at[who]
+            even = blurred(way, EVEN_PX)[here]
+            even /= np.maximum(blurred(drawn, EVEN_PX)[here], 1e-6)[:, None]
+            at = (np.stack([column, row], 1) + even).astype(np.float32)
             picture[row, column] = fetched(self.film.picture(int(n)), at)
         return picture
