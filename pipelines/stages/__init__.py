@@ -211,7 +211,7 @@ STAGES = (
     Stage(
         name="evaluate",
         reads=("ingest", "static_poses", "sync", "rig", "scene", "canonical", "deformation"),
-        config_keys=("evaluate.lpips_weights", "reconstruct.seed"),
+        config_keys=("evaluate.lpips_weights", "reconstruct.seed", "capture.test_cameras"),
         applies=_unless(cameras=NO_SWEEP),
         run=_glue("evaluate"),
         inputs=_truth,
