@@ -54,9 +54,9 @@ def test_both_routes_together_search_each_clip_once(
     frames: FrameSet, searched: list[str], tmp_path: Path
 ) -> None:
     job = object.__new__(rig_stage._Job)
-    job.frames, job.moving, job.boards = frames, frames.moving, {}
+    job.frames, job.boards = frames, {}
     job.clips = BoardClips(tmp_path, frames, TOLD)
-    known = job._clip_calibrations(lambda fraction, message: None)
+    known = job._clip_calibrations(frames.trained, lambda fraction, message: None)
     assert searched == ["own0.mp4", "joint_cam1.mp4"]
     seen = read_joint_views(job.clips, ["cam0", "cam1"], {"cam0": known["cam0"]})
     assert searched == ["own0.mp4", "joint_cam1.mp4", "joint_cam0.mp4"]
