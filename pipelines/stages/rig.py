@@ -156,7 +156,6 @@ class _Job:
     def from_board(self) -> Rig:
         """Route B: the board before several cameras at once; metres, in the first camera's frame."""
         seen, found = self._board_rig(list(self.trained), self.context.progress)
-        self.rows += self._joint_rows(seen, found)
         problem = found.solution.problem
         index = {name: c for c, name in enumerate(found.views.names)}
         cameras = {}
@@ -200,7 +199,7 @@ class _Job:
         if name not in self.frames.joint:
             text = f"camera '{name}' has no clip of the board that others see at once (capture.board.joint_clips)"
             raise CalibrationError("rig-without-source", text)
-        seen, found = self._board_rig([*self.trained, name], self.context.progress)
+        seen, found = self._by_board([*self.trained, name], self.context.progress)
         c = found.views.names.index(name)
         support = np.flatnonzero(found.solution.problem.obs_camera == c)
         camera = rig_camera(
@@ -229,7 +228,6 @@ class _Job:
             remedy = "Hold the board where several cameras see it; the sweep alone was used."
             self.rows.append(note("rig from the board", str(error), remedy=remedy))
             return None
-        self.rows += self._joint_rows(seen, board)
         ours = {n: c.camera for n, c in cameras.items()}
         joint = adjust_together(swept.solution, swept.index, ours, board)
         unit = joint.problem.unit
@@ -307,7 +305,15 @@ class _Job:
         return {name: board.intrinsics for name, board in self.boards.items() if name in cameras}
 
     def _board_rig(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
-        """Cameras from the joint clips, with clocks applied."""
+        """Cameras from the joint clips, with clocks applied, and what they measure on views kept out of a fit."""
+        seen, found = self._by_board(names, progress)
+        progress(0.9, "held-out lengths")
+        measured = self.board_is_measured  # without a measured square there are no millimetres to check
+        check = cross_check(seen.views, seen.spec, seen.start, seen.known) if measured else None
+        self.rows += joint_rows(found, check)
+        return seen, found
+
+    def _by_board(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
         assert self.clips is not None
         known = {} if self.given is None else dict(self.given.intrinsics)
         for name in names:
@@ -318,13 +324,6 @@ class _Job:
         seen = read_joint_views(self.clips, names, known, part(progress, 0.0, 0.7))
         self.boards = seen.own | self.boards
         return seen, rig_from_board(seen.views, seen.spec, seen.start, seen.known, part(progress, 0.7, 0.2))
-
-    def _joint_rows(self, seen: JointViews, found: BoardRig) -> list[HealthRow]:
-        """How good a rig by the board is, and what it measures on views kept out of a fit."""
-        self.context.progress(0.9, "held-out lengths")
-        measured = self.board_is_measured  # without a measured square there are no millimetres to check
-        check = cross_check(seen.views, seen.spec, seen.start, seen.known) if measured else None
-        return joint_rows(found, check)
 
     def _scales(self, model: SweepModel, centres: dict[str, np.ndarray]) -> list[Scale]:
         """Metres from the board in the sweep and from a known distance."""
