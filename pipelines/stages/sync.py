@@ -74,7 +74,8 @@ class _Job:
 
     def __init__(self, context: StageContext, frames: FrameSet, rest: Rest) -> None:
         folder = context.run_dir / "ingest"
-        self.context, self.frames, self.rest = context, frames, rest
+        self.context, self.frames = context, frames
+        self.rest: Rest = rest
         self.config = context.config.calibration.sync
         self.brightness = {
             n: Brightness(b[:, 0], b[:, 1:]) for n, b in read_brightness(folder, frames).items() if len(b) > 1

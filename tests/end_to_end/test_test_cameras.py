@@ -22,6 +22,8 @@ import yaml
 from tests.conftest import EXAMPLE
 from tests.end_to_end.small_session import WITNESS, write_small_session
 
+from devrf.capture.picture_files import read_pixels
+
 SMALLER = {"canonical_iterations": 40, "motion_iterations": 8, "rays": 512, "resolution": 40}
 # What a training took, which no two runs have in common.
 MEASURED = {"seconds", "rays_per_s", "peak_rss_gb", "peak_gpu_gb", "tracking_s", "fine_tuning_s", "wanted_s"}
@@ -168,8 +170,8 @@ def test_what_is_held_out_of_the_sweep_is_in_structure_from_motion_alone(
     for n, name in enumerate(names):
         if n % 8 == 0:
             path = run / "ingest" / "frames" / name
-            picture = cv2.imread(str(path))
-            cv2.imwrite(str(path), np.random.default_rng(n).integers(0, 256, picture.shape, np.uint8))
+            shape = read_pixels(path).shape
+            cv2.imwrite(str(path), np.random.default_rng(n).integers(0, 256, shape, np.uint8))
     other.run("deformation", "--from", "sync")
     for file in ("scene/scene.json", "canonical/model.safetensors", "deformation/model.safetensors"):
         assert (run / file).read_bytes() == (true / file).read_bytes(), file
