@@ -35,6 +35,7 @@ from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 
+PAYS_DB = 0.1  # a smaller gain, be it no chance, is not worth another model at rest
 LR = 0.03  # initial, of the grids; a tenth of training's: the scene at rest is nearly right; falls by 10
 NET_SHARE = 1 / 300  # the MLP's rate, of the grids'
 ENTROPY = 1e-3  # weight
@@ -108,7 +109,7 @@ def fine_tune(
     gain_db = after.gain_db(before) if before is not None and after is not None else None
     if options.adapt and not options.fine_tuning_given and before is not None and after is not None:
         gain = after.gain_over(before)
-        if gain.side() <= 0:
+        if gain.side() <= 0 or gain.mean < PAYS_DB:
             reason = f"on pixels that it left out it gained {gain_text(gain)}"
             decision = Decision("fine-tuning", "none", f"{iterations} iterations", reason)
             model = None

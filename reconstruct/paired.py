@@ -93,18 +93,19 @@ def gain_within_clips(
         clip: Which one each picture is of.
         time: When it was taken.
     Returns:
-        `by_pair` holds the stretches' means. There is no interval where no clip has LEAST_MOMENTS pictures.
+        `by_pair` holds the stretches' means, each of two pictures or more. There is no interval where fewer follow each
+        other than in one clip of LEAST_MOMENTS pictures.
     """
     apart, clips = np.subtract(with_it, without), np.array(clip)
     mean, stretches, steps = float(apart.mean()), [], []
     for name in dict.fromkeys(clip):
         mine = np.flatnonzero(clips == name)
         mine = mine[np.argsort(np.array(time)[mine], kind="stable")]
-        if len(mine) >= LEAST_MOMENTS:
-            means = [float(part.mean()) for part in np.array_split(apart[mine], STRETCHES)]
-            stretches += means
-            steps += np.diff(means).tolist()
-    if not steps:
+        parts = np.array_split(apart[mine], max(1, min(STRETCHES, len(mine) // 2)))
+        means = [float(part.mean()) for part in parts]
+        stretches += means
+        steps += np.diff(means).tolist()
+    if len(steps) < STRETCHES - 1:
         return Gain(mean, None, (mean,))
     std = np.sqrt(np.square(steps).mean() / 2 / len(stretches))
     half = float(t.ppf((1 + CONFIDENCE) / 2, 2 * len(steps) / 3) * std)
