@@ -64,7 +64,7 @@ class _Job:
             return self.base
         charts = [] if self.settings.method == "points" else self._chart_pairs()
         by_chart = {pair.second for pair in charts}
-        of_trained = [pair for pair in charts if pair.second not in self.test_cameras]
+        of_trained = [pair for pair in charts if pair.second not in self.frames.tests]
         cameras = _with_match(self.base.cameras, match_cameras(of_trained, self.reference), "chart")
         for name in sorted(self.test_cameras & by_chart):
             own = [pair for pair in charts if pair.second == name]
