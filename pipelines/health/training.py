@@ -87,37 +87,37 @@ def mover_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
 
 def moved_clock_rows(offsets_s: Mapping[str, float]) -> list[HealthRow]:
     """Whether clocks were moved because what moves is seen elsewhere on its way than they say."""
-    if not offsets_s:
-        return []
-    name = max(offsets_s, key=lambda camera: abs(offsets_s[camera]))
-    every = ", ".join(f"{camera} {1e3 * offset_s:+.0f} ms" for camera, offset_s in offsets_s.items())
-    return [
-        row(
-            f"{MOVED} ({name})",
-            1e3 * abs(offsets_s[name]),
-            "ms",
-            warn_above=MOVED_MS,
-            remedy=f"Training took pictures later than sync says: {every}. Set the lag of {name} in "
-            "calibration.sync.av_lag_s or true times in capture.timestamps, or clap near the middle of the scene.",
-        )
-    ]
+    return _largest_offset(
+        MOVED,
+        offsets_s,
+        "Training took pictures later than sync says: {every}. Set the lag of {name} in calibration.sync.av_lag_s or "
+        "true times in capture.timestamps, or clap near the middle of the scene.",
+    )
 
 
 def unknown_clock_rows(clocks: Mapping[str, Mapping[str, Any]]) -> list[HealthRow]:
     """Whether a test camera is filmed at other times than its clock says, which is not known well."""
-    offsets_s = {name: clock["offset_s"] for name, clock in clocks.items() if clock["offset_s"] is not None}
+    return _largest_offset(
+        TEST_CLOCK,
+        {name: clock["offset_s"] for name, clock in clocks.items() if clock["offset_s"] is not None},
+        "The model shows what moves as these test cameras saw it later than sync says: {every}. Test views are scored "
+        "by the clocks as they were calibrated, and again with these (test_moving_retimed). Set the lag of {name} in "
+        "calibration.sync.av_lag_s or true times in capture.timestamps, or record sound.",
+    )
+
+
+def _largest_offset(check: str, offsets_s: Mapping[str, float], remedy: str) -> list[HealthRow]:
+    """A row on the largest offset, if there is any; its remedy names that camera, and every offset."""
     if not offsets_s:
         return []
     name = max(offsets_s, key=lambda camera: abs(offsets_s[camera]))
     every = ", ".join(f"{camera} {1e3 * offset_s:+.0f} ms" for camera, offset_s in offsets_s.items())
     return [
         row(
-            f"{TEST_CLOCK} ({name})",
+            f"{check} ({name})",
             1e3 * abs(offsets_s[name]),
             "ms",
             warn_above=MOVED_MS,
-            remedy=f"The model shows what moves as these test cameras saw it later than sync says: {every}. Test views "
-            "are scored by the clocks as they were calibrated, and again with these (test_moving_retimed). Set the lag "
-            f"of {name} in calibration.sync.av_lag_s or true times in capture.timestamps, or record sound.",
+            remedy=remedy.format(name=name, every=every),
         )
     ]
