@@ -25,7 +25,7 @@ from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import clock_dict, read_sync
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
-from devrf.pipelines.health.rows import HealthRow, left_out_row, note, of_test, without_refusal
+from devrf.pipelines.health.rows import NO_PICTURE, HealthRow, left_out_row, note, of_test, without_refusal
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
@@ -262,11 +262,7 @@ def left_out(
 ) -> list[HealthRow]:
     """Rows on cameras none of whose pictures is used, if there are any: one on those that are to be trained on."""
     used = {frame.camera_name for frame in dynamic}
-    rows = [
-        left_out_row(name, "it takes no picture while two training cameras film")
-        for name in tests
-        if name not in used
-    ]
+    rows = [left_out_row(name, NO_PICTURE) for name in tests if name not in used]
     names = ", ".join(name for name in trained if name not in used)
     if not names:
         return rows

@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import wraps
 from typing import Literal, ParamSpec
 
+NO_PICTURE = "it takes no picture while two training cameras film"  # why a test camera is left out of a scene
+
 Verdict = Literal["ok", "warn", "fail"]
 Of = ParamSpec("Of")
 

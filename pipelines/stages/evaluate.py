@@ -15,7 +15,7 @@ from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
-from devrf.pipelines.health.rows import HealthRow, listed, row
+from devrf.pipelines.health.rows import NO_PICTURE, HealthRow, listed, row
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.pipelines.trained_scene import trained_scene
@@ -66,10 +66,7 @@ def why_no_test_views(config: SceneConfig, run_dir: Path) -> str:
     why: dict[str, str] = {}
     for file in ("ingest/ingest.json", "rig/rig.json"):
         why |= _read(run_dir / file).get("left_out", {})
-    told = [
-        f"test camera {name}: {why.get(name, 'it takes no picture while two training cameras film')}"
-        for name in names
-    ]
+    told = [f"test camera {name}: {why.get(name, NO_PICTURE)}" for name in names]
     return "; ".join(told) or NO_TEST_CAMERA
 
 
