@@ -31,6 +31,8 @@ VERTEX, VERTEX_STAYS = 37, 9  # per vertex beside: while occupancy is rebuilt, a
 # of the surroundings: four values, two gradients, and positions as it grows
 SHELL_VERTEX, SHELL_VERTEX_STAYS = 120, 89
 SHELL_VALUES = 4  # density and colour
+SHELL_SAMPLE = 20  # distance, raw density and colour, until the backward pass
+SHELL_SAMPLES = 2.5  # of a ray at most, per vertex of a side (kernels/background.py: most_samples)
 COARSE_VERTEX = 145  # of the first model of everything: its share of opaque space is handed on beside
 SAMPLE = 440  # per sample in the box, until the backward pass
 SAMPLE_PER_UNIT = 15  # and per hidden unit, where the MLP is asked per sample
@@ -176,6 +178,7 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
     if not size.plain or o.box_search == "coarse":
         first = o.coarse_size**3 * COARSE_VERTEX + models / 2 ** len(o.scale_at)
     per_sample = SAMPLE + (0 if o.deferred else SAMPLE_PER_UNIT * o.mlp_width)
+    per_ray = 0.0 if size.plain else SHELL_SAMPLE * SHELL_SAMPLES * o.shell_resolution
     common: Parts = {"pictures": _picture_bytes(size, size.still_pixels, size.still_lenses)}
     beginning = common | {"plates": min(MOST_BYTES, PIXEL * size.largest_clip) * (not size.plain)}
     if not size.plain:  # of fixed cameras, each with a lens of its own
@@ -184,7 +187,7 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
         )
     training = common | {
         "models": max(first, models),
-        "samples": (o.samples * per_sample + o.rays * _steps_bytes(o, STEP_AT_REST)) / o.parts,
+        "samples": (o.samples * per_sample + o.rays * (_steps_bytes(o, STEP_AT_REST) + per_ray)) / o.parts,
     }
     writing = common | {
         "models": box * (trained + VERTEX_STAYS) + around * (SHELL_VERTEX_STAYS + shell_good),

@@ -1,16 +1,16 @@
 # ruff: noqa: UP018 (float(1.0) makes a variable in a Warp kernel, 1.0 a constant)
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportCallIssue=false, reportArgumentType=false
 # pyright: reportOperatorIssue=false, reportAttributeAccessIssue=false
-"""Render the static surroundings of the box in one pass, forward and backward, without keeping samples.
+"""Render the static surroundings of the box in one pass; where a gradient is wanted, samples that count are kept.
 
 The surroundings are one grid over space contracted to [-2, 2]^3: u is the position in half sizes of the box
 from its centre, r = max |u|, and y = u inside the box, (1 + log r / log reach) u / r outside, at most 2. Like
 mip-NeRF 360's (2 - 1/r) u / r (Barron et al. 2022, Eq. 10; here with the largest component in place of the
 length) it shrinks space with distance, but in step with a pixel's footprint, as 1/r: a room's walls, three or
 four half sizes away, keep twice the resolution in depth. What is farther than the reach lies on the cube's faces,
-where rays end. The grid holds raw density and raw colour; steps grow with r. The backward pass walks
-the same samples again: what lies behind sample i is the final colour minus what has been passed, so nothing needs to
-be stored.
+where rays end. The grid holds raw density and raw colour; steps grow with r. The forward pass keeps the distance, raw
+density and colour of each sample that counts; the backward pass only scatters: what lies behind sample i is the final
+colour minus what has been passed.
 """
 
 import math
@@ -85,7 +85,20 @@ def background(
         return background_ref(rays, surroundings, closed, target)
     grid = surroundings.grid if grid_grad is None else surroundings.grid.detach().requires_grad_()
     wanted = target if target is not None else rays.rays_o
-    return _Background.apply(grid, rays, surroundings, closed, wanted, target is not None, grid_grad, seen)  # type: ignore[return-value]
+    kept = most_samples(surroundings) if torch.is_grad_enabled() and grid.requires_grad else 0
+    return _Background.apply(
+        grid, rays, surroundings, closed, wanted, target is not None, grid_grad, seen, kept
+    )  # type: ignore[return-value]
+
+
+def most_samples(surroundings: Surroundings) -> int:
+    """Most samples of a ray that begins in the cube.
+
+    A step covers step * r of the ray's length in half sizes of the box, and r is at least 1 and the distance from the
+    middle over the root of 3: 2 roots of 3 inside the box, and the logarithm of the reach times as much on both sides.
+    """
+    step = surroundings.step
+    return math.ceil(2 * math.sqrt(3) * (1 + math.log(surroundings.reach)) * (1 / step + 1)) + 2
 
 
 def contract(u: Float[Tensor, "*n 3"], reach: float) -> Float[Tensor, "*n 3"]:
@@ -150,32 +163,38 @@ class _Background(torch.autograd.Function):
         has_target: bool,
         grid_grad: Tensor | None,
         seen: Tensor | None,
+        kept: int,
     ) -> tuple[Tensor, Tensor, Tensor]:
         n, device = len(rays.t_in), grid.device
         shared = _arguments(rays, surroundings, closed, target, has_target)
         rgb, left, per_point = (torch.empty(n, *shape, device=device) for shape in ((3,), (), ()))
-        outputs = [array(rgb, wp.vec3), array(left), array(per_point)]
+        # step by step: memory behind the last sample of any ray is never touched
+        ts, raws = torch.empty(kept, n, device=device), torch.empty(kept, n, 4, device=device)
+        counts = torch.empty(n, dtype=torch.int32, device=device)
+        samples = [array(ts), array(raws, vec4), array(counts)]
+        outputs = [*samples, array(rgb, wp.vec3), array(left), array(per_point)]
         if seen is None:
             launch(_forward, n, [*shared, *outputs, 0, array(torch.zeros(1, 1, 1, device=device))], device)
         else:
             launch(_forward, n, [*shared, *outputs, 1], device, into=[array(seen)])
         ctx.save_for_backward(rgb, left)
-        ctx.rest = rays, surroundings, closed, target, has_target, grid_grad
+        ctx.rest = rays, surroundings, closed, target, has_target, grid_grad, (ts, raws, counts)
         return rgb, left, per_point
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Any, ...]:
         rgb, left = ctx.saved_tensors
-        rays, surroundings, closed, target, has_target, grid_grad = ctx.rest
+        rays, surroundings, closed, target, has_target, grid_grad, (ts, raws, counts) = ctx.rest
         out = grid_grad if grid_grad is not None else torch.zeros_like(surroundings.grid)[None]
         rgb_grad, left_grad, point_grad = (g.contiguous() for g in grad_outputs)
         arguments = [
             *_arguments(rays, surroundings, closed, target, has_target),
+            *(array(ts), array(raws, vec4), array(counts)),
             *(array(rgb, wp.vec3), array(left)),
             *(array(rgb_grad, wp.vec3), array(left_grad), array(point_grad)),
         ]
         launch(_backward, len(left), arguments, out.device, into=[array(copy, vec4) for copy in out])
-        return out[0] if grid_grad is None else None, *(None,) * 7
+        return out[0] if grid_grad is None else None, *(None,) * 8
 
 
 def _arguments(
@@ -235,6 +254,14 @@ def colour_of(v: vec4) -> wp.vec3:
 
 @wp.func
 @no_type_check
+def raw_colour_grad(grad: wp.vec3, colour: wp.vec3) -> vec4:
+    """What a gradient of a colour is for raw values; that of the density is 0."""
+    slope = wp.cw_mul(colour, wp.vec3(1.0, 1.0, 1.0) - colour)
+    return vec4(0.0, grad[0] * slope[0], grad[1] * slope[1], grad[2] * slope[2])
+
+
+@wp.func
+@no_type_check
 def index_of(u: wp.vec3, r: float, log_reach: float, grid: wp.array3d(dtype=vec4)) -> wp.vec3:
     """Index coordinates of a position given in half sizes of the box."""
     y = u * (wp.min(1.0 + wp.log(r) / log_reach, 2.0) / r) + wp.vec3(2.0, 2.0, 2.0)
@@ -266,6 +293,9 @@ def _forward(
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
+    ts: wp.array2d(dtype=float),
+    raws: wp.array2d(dtype=vec4),
+    counts: wp.array(dtype=wp.int32),
     rgb: wp.array(dtype=wp.vec3),
     left: wp.array(dtype=float),
     per_point: wp.array(dtype=float),
@@ -286,6 +316,8 @@ def _forward(
     trans = float(1.0)
     total = wp.vec3(0.0, 0.0, 0.0)
     apart = float(0.0)
+    most = ts.shape[0]
+    kept = int(0)
     while t < end:
         u = u0 + du * t
         r = radius_of(u)
@@ -296,6 +328,12 @@ def _forward(
             alpha = alpha_of(v[0] + shift, interval)
             if alpha > alpha_threshold:
                 c = colour_of(v)
+                if most > 0:
+                    if kept == most:
+                        break  # a camera far outside of the cube
+                    ts[kept, n] = t
+                    raws[kept, n] = vec4(v[0] + shift, c[0], c[1], c[2])
+                    kept += 1
                 total += c * (trans * alpha)
                 if has_seen == 1:
                     i = nearest(q[0], grid.shape[0])
@@ -312,6 +350,7 @@ def _forward(
         far = u0 + du * wp.max(end, t_in[n])
         total += colour_of(look_up(grid, index_of(far, radius_of(far), log_reach, grid))) * trans
         trans = 0.0
+    counts[n] = kept
     rgb[n] = total
     left[n] = trans
     per_point[n] = apart
@@ -338,6 +377,9 @@ def _backward(
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
+    ts: wp.array2d(dtype=float),
+    raws: wp.array2d(dtype=vec4),
+    counts: wp.array(dtype=wp.int32),
     rgb: wp.array(dtype=wp.vec3),
     left: wp.array(dtype=float),
     rgb_grad: wp.array(dtype=wp.vec3),
@@ -348,51 +390,25 @@ def _backward(
     n = first + wp.tid()
     u0 = wp.cw_mul(rays_o[n] - centre, per_half)
     du = wp.cw_mul(rays_d[n], per_half)
-    stride = step / wp.length(du)
-    voxel = 4.0 / float(wp.max(wp.max(grid.shape[0], grid.shape[1]), grid.shape[2]) - 1)
     log_reach = wp.log(reach)
-    end = t_out[n]
-    if closed == 1:
-        end = exit_of(u0, du, reach)
-    t = t_in[n]
-    t += jitter[n] * stride * radius_of(u0 + du * t)
     g = rgb_grad[n]
     trans = float(1.0)
     behind = wp.dot(g, rgb[n]) + left_grad[n] * left[n]
-    while t < end:
-        u = u0 + du * t
-        r = radius_of(u)
-        q = index_of(u, r, log_reach, grid)
-        away = steps_away(distance, q)
-        if away == 0:
-            v = look_up(grid, q)
-            alpha = alpha_of(v[0] + shift, interval)
-            if alpha > alpha_threshold:
-                c = colour_of(v)
-                weight = trans * alpha
-                behind -= weight * wp.dot(g, c)
-                trans *= 1.0 - alpha
-                raw_grad = interval * sigmoid(v[0] + shift) * (trans * wp.dot(g, c) - behind)
-                h = g * weight
-                if has_target == 1:
-                    h += (c - target[n]) * (2.0 * weight * point_grad[n])
-                out = vec4(
-                    raw_grad,
-                    h[0] * c[0] * (1.0 - c[0]),
-                    h[1] * c[1] * (1.0 - c[1]),
-                    h[2] * c[2] * (1.0 - c[2]),
-                )
-                scatter(grid_grad, q, out)
-                if trans < STOP:
-                    break
-        t += stride * r * wp.max(1.0, leap(away, voxel) / step)
+    for m in range(counts[n]):
+        u = u0 + du * ts[m, n]
+        v = raws[m, n]
+        c = wp.vec3(v[1], v[2], v[3])
+        alpha = alpha_of(v[0], interval)
+        weight = trans * alpha
+        behind -= weight * wp.dot(g, c)
+        trans *= 1.0 - alpha
+        h = g * weight
+        if has_target == 1:
+            h += (c - target[n]) * (2.0 * weight * point_grad[n])
+        out = raw_colour_grad(h, c)
+        out[0] = interval * sigmoid(v[0]) * (trans * wp.dot(g, c) - behind)
+        scatter(grid_grad, index_of(u, radius_of(u), log_reach, grid), out)
     if closed == 1:
-        far = u0 + du * wp.max(end, t_in[n])
+        far = u0 + du * wp.max(exit_of(u0, du, reach), t_in[n])
         q = index_of(far, radius_of(far), log_reach, grid)
-        c = colour_of(look_up(grid, q))
-        h = g * trans
-        scatter(
-            grid_grad,
-            q,
-            vec4(0.0, h[0] * c[0] * (1.0 - c[0]), h[1] * c[1] * (1.0 - c[1]), h[2] * c[2] * (1.0 - c[2])),
-        )
+        scatter(grid_grad, q, raw_colour_grad(g * trans, colour_of(look_up(grid, q))))
