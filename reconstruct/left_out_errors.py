@@ -16,7 +16,6 @@ from jaxtyping import Float, Int
 from devrf.capture.scene import Scene
 from devrf.reconstruct.left_out import LeftOut
 from devrf.reconstruct.model import DynamicModel, Rendered, Seen
-from devrf.reconstruct.movers import Layered
 from devrf.reconstruct.moving_pixels import changing_pixels
 from devrf.reconstruct.paired import Gain, gain_within_clips
 from devrf.reconstruct.pictures import training
@@ -109,7 +108,7 @@ def errors_of(
     rays: RaySet,
     left_out: LeftOut,
     around: PixelSurroundings,
-    box: Callable[[RayBatch], Rendered | Seen | Layered],
+    box: Callable[[RayBatch], Rendered | Seen],
 ) -> Errors:
     """Errors of the pictures that `left_out` asks.
 

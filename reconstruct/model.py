@@ -7,7 +7,6 @@ background). Surroundings do not move, so a camera that stands still needs them 
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,10 +21,19 @@ from devrf.reconstruct.kernels.march import RaySegments, Samples, Warp, march
 from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.movers import Layered, Movers, Placed, render_layered
+from devrf.reconstruct.movers import Movers, Placed, draw_layered
 from devrf.reconstruct.options import CHUNK
 from devrf.reconstruct.rays import camera_rays, intersect
-from devrf.reconstruct.render import Rendered, distances, plain_of, points_on, render_rest, segments_in, shade
+from devrf.reconstruct.render import (
+    Rendered,
+    Seen,
+    distances,
+    plain_of,
+    points_on,
+    render_rest,
+    segments_in,
+    shade,
+)
 from devrf.reconstruct.rest_model import RestModel
 
 FEWEST_AT_ONCE = 1 << 9  # rays, where memory is short: fewer would be slow and need hardly less
@@ -84,14 +92,6 @@ class Moved:
     x0: Float[Tensor, "S 3"]
     weights: Float[Tensor, " S"]
     colours: Float[Tensor, "S 3"] | None
-
-
-class Seen(NamedTuple):
-    """What rays see in the box: its colour, the light that it lets through, weighted distance."""
-
-    rgb: Float[Tensor, "R 3"]
-    left: Float[Tensor, " R"]
-    depth: Float[Tensor, " R"]
 
 
 @dataclass
@@ -162,7 +162,7 @@ class DynamicModel:
 
     def _parts_at(
         self, rays_o: Tensor, rays_d: Tensor, times: Tensor
-    ) -> Iterator[tuple[Tensor, Layered | Moved]]:
+    ) -> Iterator[tuple[Tensor, Seen | Moved]]:
         """Numbers of some of the rays, and what they see."""
         if self.movers is not None:
             moments, frame = times.unique(return_inverse=True)
@@ -361,10 +361,10 @@ def _layers(
 
 def _layered(
     model: DynamicModel, placed: Placed, frame: Tensor, rays_o: Tensor, rays_d: Tensor, jitter: Tensor
-) -> Layered:
+) -> Seen:
     """Rays through what stands and what moves, each at the time of its picture."""
     assert model.in_motion is not None and model.movers is not None
-    return render_layered(
+    return draw_layered(
         model.in_motion.canonical, model.movers, placed, frame, rays_o, rays_d, model.rest.near, jitter
     )
 

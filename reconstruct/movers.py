@@ -20,14 +20,15 @@ from torch import Tensor
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.grids import grown, vertices
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
-from devrf.reconstruct.kernels.march import Samples, Volume, march
+from devrf.reconstruct.kernels.launch import use_warp
+from devrf.reconstruct.kernels.layers import Light, Packed, Turned, draw_layers, march_layers
+from devrf.reconstruct.kernels.march import Volume
 from devrf.reconstruct.kernels.occupancy import REACH, distance
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.render import FAINT, points_on, segments_in
+from devrf.reconstruct.render import FAINT, Seen
 from devrf.reconstruct.shading import Shading
 
 COUNTS = 1e-3  # weight from which a sample has a colour
-FARTHEST = 1e4  # box units: farther than any sample
 # Rows and columns of the six entries that tell a symmetric matrix.
 UPPER = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
 
@@ -62,6 +63,11 @@ class Placed(NamedTuple):
             return self.rotations.mT
         inverses = torch.linalg.inv_ex(self.stretches)[0]  # not checked: a GPU would wait for that
         return inverses @ self.rotations.mT
+
+    def turned(self, frame: Int[Tensor, " R"]) -> Turned:
+        """How rays of these pictures are taken back to rest; without gradients."""
+        placed = Placed(*(None if x is None else x.detach() for x in self))
+        return Turned(placed.back, placed.forth, placed.shifts, frame)
 
 
 class Layered(NamedTuple):
@@ -103,7 +109,7 @@ class Movers:
     shifts: Float[Tensor, "T M 3"]
     shading: Shading | None = None
     stretches: Float[Tensor, "T M 3 3"] | None = None
-    _volumes: list[Volume | None] | None = field(default=None, repr=False)
+    _packed: Packed | None = field(default=None, repr=False)
     _middles: np.ndarray | None = field(default=None, repr=False)
     _distances: list[tuple[Tensor, Tensor]] | None = field(default=None, repr=False)
 
@@ -276,15 +282,17 @@ class Movers:
         lo, _, cut = _around(own, REACH)
         return lo, distance(own[cut].contiguous())
 
-    def volumes(self) -> list[Volume | None]:
-        """What the march needs to know of each part: its own voxels and those next to them; None where it is empty."""
-        if self._volumes is None:
-            self._volumes = [self._volume(m) for m in range(1, self.parts + 1)]
-        return self._volumes
+    def packed(self) -> Packed:
+        """What the march needs to know of the parts: of each its own voxels and those next to them."""
+        if self._packed is None:
+            found = {m: self._volume(m) for m in range(1, self.parts + 1)}
+            kept = {m: volume for m, volume in found.items() if volume is not None}
+            self._packed = Packed.of(kept, self.labels.device)
+        return self._packed
 
     def changed(self) -> None:
-        """The density is another: `volumes` are to be made anew."""
-        self._volumes = None
+        """The density is another: `packed` is to be made anew."""
+        self._packed = None
 
     def _volume(self, part: int) -> Volume | None:
         k = self.canonical
@@ -351,11 +359,12 @@ def render_layered(
         counts_from: Weight from which a sample has a colour.
     """
     rays = len(rays_o)
-    x, ray_id, t, part, samples_d = _samples(stands, movers, placed, frame, rays_o, rays_d, near, jitter)
+    turned = placed.turned(frame)
+    ray_id, t, part, x, samples_d, offsets = march_layers(
+        stands.volume(), movers.packed(), turned, rays_o, rays_d, near, jitter
+    )
     if placed.rotations.requires_grad:
         x = _taken_back(x, part, placed, frame[ray_id], rays_o[ray_id] + t[:, None] * rays_d[ray_id])
-    offsets = torch.zeros(rays + 1, dtype=torch.int64, device=x.device)
-    torch.cumsum(torch.bincount(ray_id, minlength=rays), 0, out=offsets[1:])
     still, moved = (part == 0).nonzero()[:, 0], (part > 0).nonzero()[:, 0]
     alpha = torch.zeros_like(t).index_put((still,), stands.alpha(x[still], grads[0]))
     alpha = alpha.index_put((moved,), movers.canonical.alpha(x[moved], grads[2]))
@@ -382,6 +391,40 @@ def render_layered(
             colours = colours * torch.exp(light)[:, None]
         rgb = accumulate(weights, colours, ray_id, rays)
     return Layered(rgb, left, depth, weights, colours, ray_id)
+
+
+@torch.no_grad()
+def draw_layered(
+    stands: Canonical,
+    movers: Movers,
+    placed: Placed,
+    frame: Int[Tensor, " R"],
+    rays_o: Float[Tensor, "R 3"],
+    rays_d: Float[Tensor, "R 3"],
+    near: float,
+    jitter: Float[Tensor, " R"],
+    counts_from: float = COUNTS,
+) -> Seen:
+    """The same for pictures, without gradients: in one launch where colours are found once a ray."""
+    if not stands.deferred or not use_warp(rays_o.device):
+        seen = render_layered(
+            stands, movers, placed, frame, rays_o, rays_d, near, jitter, counts_from=counts_from
+        )
+        return Seen(seen.rgb, seen.left, seen.depth)
+    own, shading = movers.canonical, movers.shading
+    drawn = draw_layers(
+        stands.volume(), movers.packed(), placed.turned(frame), stands.features,
+        (own.density, own.features), None if shading is None else Light(*shading.moments(placed.times)),
+        rays_o, rays_d, near, jitter, counts_from,
+    )  # fmt: skip
+    hit = (drawn.opacity > 0).nonzero()[:, 0]
+    opacity = drawn.opacity[hit, None]
+    seen_by = opacity.clamp_min(FAINT)
+    colours = stands.net(
+        drawn.features[hit] / seen_by, rays_d[hit], torch.arange(len(hit), device=hit.device)
+    )
+    colours = opacity * colours * torch.exp(drawn.light[hit, None] / seen_by)
+    return Seen(torch.zeros_like(rays_d).index_copy(0, hit, colours), drawn.left, drawn.depth)
 
 
 def _deferred(
@@ -413,38 +456,3 @@ def _taken_back(
     mine = every.flatten(0, 1).gather(0, key[:, None].expand(-1, 12))
     rested = torch.einsum("sij,sj->si", mine[:, :9].unflatten(1, (3, 3)), now[moved] - mine[:, 9:])
     return x.index_put((moved,), rested)
-
-
-@torch.no_grad()
-def _samples(
-    stands: Canonical,
-    movers: Movers,
-    placed: Placed,
-    frame: Tensor,
-    rays_o: Tensor,
-    rays_d: Tensor,
-    near: float,
-    jitter: Tensor,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Samples of all layers, ray by ray and near to far: where they rest, ray, distance, part, direction at rest."""
-    out: list[tuple[Tensor, ...]] = []
-
-    def add(volume: Volume, part: int, o: Tensor, d: Tensor) -> None:
-        segments = segments_in(volume.aabb, None, o.contiguous(), d.contiguous(), near, jitter)
-        samples: Samples = march(segments, volume)
-        ray_id = samples.ray_id.long()
-        towards = d if placed.stretches is None else F.normalize(d, dim=1)
-        out.append(
-            (points_on(segments, samples), ray_id, samples.t, torch.full_like(ray_id, part), towards[ray_id])
-        )
-
-    add(stands.volume(), 0, rays_o, rays_d)
-    back = placed.back
-    for number, volume in enumerate(movers.volumes()):
-        if volume is not None:
-            mine = back[frame, number]
-            o = torch.einsum("rij,rj->ri", mine, rays_o - placed.shifts[frame, number])
-            add(volume, number + 1, o, torch.einsum("rij,rj->ri", mine, rays_d))
-    x, ray_id, t, part, d = (torch.cat(parts) for parts in zip(*out, strict=True))
-    order = torch.argsort(ray_id.double() * FARTHEST + t.double())
-    return x[order], ray_id[order], t[order], part[order], d[order]

@@ -7,6 +7,7 @@ per ray for the mean of its samples' features ("deferred": Hedman et al., Baking
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -54,6 +55,14 @@ class Rendered:
     colours: Float[Tensor, "S 3"] | None
     ray_id: Int[Tensor, " S"]
     shell_per_point: Float[Tensor, " R"]
+
+
+class Seen(NamedTuple):
+    """What rays see in the box: its colour, the light that it lets through, weighted distance."""
+
+    rgb: Float[Tensor, "R 3"]
+    left: Float[Tensor, " R"]
+    depth: Float[Tensor, " R"]
 
 
 def render_rest(

@@ -64,6 +64,14 @@ class Shading(torch.nn.Module):
         corners = self.grid.reshape(-1).gather(0, (base[:, None] + self._corners).reshape(-1))
         return (weights * corners.reshape(-1, 16)).sum(1)
 
+    def moments(
+        self, times: Float[Tensor, " F"]
+    ) -> tuple[Float[Tensor, "2 T X Y Z"], Float[Tensor, "2 3"], Float[Tensor, " F"]]:
+        """The grid, its box, and times as numbers of its moments."""
+        span = max(self.t_last - self.t_first, 1e-9)
+        unit = ((times - self.t_first) / span).clamp(0, 1)
+        return self.grid.detach(), self.aabb, unit.to(self.grid.device) * (self.grid.shape[1] - 1)
+
     def penalty(self) -> Float[Tensor, ""]:
         """What keeps it smooth and near to no change."""
         differences = sum((self.grid.diff(dim=axis) ** 2).mean() for axis in range(1, 5))

@@ -26,11 +26,12 @@ from devrf.reconstruct.left_out import LeftOut
 from devrf.reconstruct.left_out_errors import Errors, errors_of
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
 from devrf.reconstruct.model import Around, DynamicModel
-from devrf.reconstruct.movers import NO_GRADS, Grads, Layered, Movers, Placed, render_layered
+from devrf.reconstruct.movers import Movers, Placed, draw_layered, render_layered
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.options import MotionOptions, longer
 from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
+from devrf.reconstruct.render import Seen
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.surroundings import PixelSurroundings
@@ -243,20 +244,15 @@ class _Recipe:
         density, features, own_density, own_features = (grid.grad[0] for grid in self.grids.values())
         jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
         grads = density, features, own_density, own_features
-        seen = self._seen(batch, jitter, self.movers, placed, grads)
+        seen = render_layered(
+            self.stands, self.movers, placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
+            grads, TRAINS,
+        )  # fmt: skip
         return {
             "mse": rendering_loss(around.compose(seen.rgb, seen.left), batch.rgb),
             "entropy": entropy_loss(seen.left),
             "per_point": per_point_loss(seen.weights, seen.colours, batch.rgb, seen.ray_id),
         }
-
-    def _seen(
-        self, batch: RayBatch, jitter: Tensor, movers: Movers, placed: Placed, grads: Grads = NO_GRADS
-    ) -> Layered:
-        return render_layered(
-            self.stands, movers, placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
-            grads, TRAINS,
-        )  # fmt: skip
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
@@ -310,9 +306,22 @@ class _Recipe:
         if movers is None:
             return errors_of(*asked, lambda some: still.box_at_rest(some.rays_o, some.rays_d))
         placed = movers.placed(self.rays.times)
-        return errors_of(
-            *asked, lambda some: self._seen(some, torch.full_like(some.time, 0.5), movers, placed)
-        )
+
+        def seen(some: RayBatch) -> Seen:
+            middle = torch.full_like(some.time, 0.5)
+            return draw_layered(
+                self.stands,
+                movers,
+                placed,
+                some.frame,
+                some.rays_o,
+                some.rays_d,
+                self.rest.near,
+                middle,
+                TRAINS,
+            )
+
+        return errors_of(*asked, seen)
 
 
 def _retime(rays: RaySet, scene: Scene, offsets_s: Mapping[str, float]) -> Tensor:

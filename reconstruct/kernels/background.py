@@ -23,7 +23,7 @@ import warp as wp
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from devrf.reconstruct.kernels.launch import array, launch, use_warp
+from devrf.reconstruct.kernels.launch import ODD, array, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest, steps_away
 from devrf.reconstruct.kernels.trilinear import gathered_in, look_up, scatter, trilinear_ref
 
@@ -168,8 +168,8 @@ class _Background(torch.autograd.Function):
         n, device = len(rays.t_in), grid.device
         shared = _arguments(rays, surroundings, closed, target, has_target)
         rgb, left, per_point = (torch.empty(n, *shape, device=device) for shape in ((3,), (), ()))
-        # step by step: memory behind the last sample of any ray is never touched
-        ts, raws = torch.empty(kept, n, device=device), torch.empty(kept, n, 4, device=device)
+        # Sample by sample: what lies behind the last one of any ray is never touched.
+        ts, raws = torch.empty(kept, n + ODD, device=device), torch.empty(kept, n + ODD, 4, device=device)
         counts = torch.empty(n, dtype=torch.int32, device=device)
         samples = [array(ts), array(raws, vec4), array(counts)]
         outputs = [*samples, array(rgb, wp.vec3), array(left), array(per_point)]

@@ -24,6 +24,7 @@ from devrf.capture.cores import usable_cores
 
 # of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
 SCATTER_COPIES = 2
+ODD = 17  # entries more in a row: rows whose length is a power of two share a processor's few cache lines
 CHUNK_MINIMUM = 256  # elements; below this a second thread costs more than it brings
 log = logging.getLogger(__name__)
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
 from tests.reconstruct.deaths import until_done
 
+import devrf.reconstruct.kernels.layers as layers_module
 import devrf.reconstruct.movers as movers_module
 import devrf.reconstruct.train_motion as train_motion_module
 import devrf.reconstruct.train_movers as train_movers_module
@@ -25,11 +26,12 @@ from devrf.reconstruct.corrections import Corrections
 from devrf.reconstruct.geometry.field import field_at, moved
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.guard import diverged
+from devrf.reconstruct.kernels.layers import march_layers, march_layers_ref
 from devrf.reconstruct.left_out import left_out
 from devrf.reconstruct.left_out_errors import Errors, errors_in_motion
 from devrf.reconstruct.model import DynamicModel, render_layers, render_view
 from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
-from devrf.reconstruct.movers import Movers, render_layered
+from devrf.reconstruct.movers import Movers, draw_layered, render_layered
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.options import PRESETS, MotionOptions
 from devrf.reconstruct.rays import camera_rays
@@ -212,6 +214,66 @@ def test_corrections_turn_and_shift_parts_between_moments(
 
 
 @pytest.mark.parametrize("soft", [False, True])
+def test_samples_of_all_layers_are_those_of_each_in_order(
+    rest: RestModel, monkeypatch: pytest.MonkeyPatch, soft: bool
+) -> None:
+    """One launch finds what marching layer by layer finds; where a ray has too many, the nearest stay."""
+    stands, movers, o, d, frame = three_layers(rest, soft)
+    placed = movers.placed(torch.tensor([0.1, 0.8]))
+    asked = stands.volume(), movers.packed(), placed.turned(frame), o, d, 0.5, torch.rand(len(o))
+    found, expected = march_layers(*asked), march_layers_ref(*asked)
+    assert set(expected.part.tolist()) == {0, 1, 2} and int(expected.offsets.diff().max()) > 10
+    # a sample at a border may be inside in one and not in the other
+    same = (found.offsets.diff() == expected.offsets.diff()).nonzero()[:, 0]
+    assert len(same) > 0.97 * len(o)
+    ours, theirs = (
+        [x[torch.isin(samples.ray_id, same)] for x in samples[:5]] for samples in (found, expected)
+    )
+    for a, b in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-4)
+    monkeypatch.setattr(layers_module, "MOST", 4)
+    nearest = march_layers(*asked)
+    assert int(nearest.offsets.diff().max()) == 4
+    for r in range(0, len(o), 50):
+        few = nearest.t[nearest.offsets[r] : nearest.offsets[r + 1]]
+        torch.testing.assert_close(few, found.t[found.offsets[r] : found.offsets[r + 1]][:4])
+
+
+@pytest.mark.parametrize("warp", [True, False])
+def test_pictures_are_what_training_sees(
+    rest: RestModel, monkeypatch: pytest.MonkeyPatch, warp: bool
+) -> None:
+    monkeypatch.setattr(movers_module, "use_warp", lambda device: warp)
+    rest = replace(rest, canonical=copy.copy(rest.canonical))
+    rest.canonical.deferred = True
+    stands, movers, o, d, frame = three_layers(rest, soft=True)
+    grid = torch.randn(Shading.none(stands.aabb, 0.1, 0.7, torch.device("cpu")).grid.shape)
+    movers.shading = Shading(stands.aabb * 0.8, 0.1, 0.7, 0.3 * grid)
+    placed, middle = movers.placed(torch.tensor([0.05, 0.6])), torch.full((len(o),), 0.5)
+    drawn = draw_layered(stands, movers, placed, frame, o, d, 0.5, middle)
+    with torch.no_grad():
+        seen = render_layered(stands, movers, placed, frame, o, d, 0.5, middle)
+    assert float((1 - seen.left).mean()) > 0.05
+    for a, b in zip(drawn, (seen.rgb, seen.left, seen.depth), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4)
+
+
+def three_layers(
+    rest: RestModel, soft: bool
+) -> tuple[Canonical, Movers, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """What stands, two parts that go apart, rays and which of two pictures they are of."""
+    stands, own, labels = halves(rest)
+    places = vertices(own.aabb, own.shape)
+    movers = still(own, torch.where((labels > 0) & (places[..., 2] > 0), 2, labels).to(torch.uint8), 2)
+    movers.shifts[1:, 1] = torch.tensor([0.1, -0.2, 0.1])
+    movers.rotations[2, 0] = torch.from_numpy(Rotation.from_rotvec(TURN).as_matrix()).float()
+    if soft:
+        movers.stretches = torch.from_numpy(STRETCH).float().expand(3, 2, 3, 3)
+    o, d = (x[::3].contiguous() for x in camera_rays(look_at(np.array([0.3, 2.4, 0.5]))))
+    return stands, movers, o, d, torch.arange(len(o)) % 2
+
+
+@pytest.mark.parametrize("soft", [False, True])
 def test_gradients_of_corrections_are_those_of_differences(
     rest: RestModel, monkeypatch: pytest.MonkeyPatch, soft: bool
 ) -> None:
@@ -223,12 +285,9 @@ def test_gradients_of_corrections_are_those_of_differences(
     o, d = (x[300:1500:7].contiguous() for x in camera_rays(look_at(np.array([0.3, 2.4, 0.5]))))
     frame, middle = torch.zeros(len(o), dtype=torch.int64), torch.full((len(o),), 0.5)
     wanted = torch.linspace(0, 1, len(o))[:, None]
-    samples = movers_module._samples(
-        stands, movers, movers.placed(torch.tensor([0.4])), frame, o, d, 0.5, middle
-    )
-    monkeypatch.setattr(
-        movers_module, "_samples", lambda *arguments: samples
-    )  # where is looked has no gradient
+    turned = movers.placed(torch.tensor([0.4])).turned(frame)
+    samples = march_layers(stands.volume(), movers.packed(), turned, o, d, 0.5, middle)
+    monkeypatch.setattr(movers_module, "march_layers", lambda *arguments: samples)  # it has no gradient
 
     def loss() -> torch.Tensor:
         seen = render_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle)
