@@ -17,7 +17,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
-from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
+from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.left_out import LeftOut
 from devrf.reconstruct.left_out_errors import Errors, gain_text
@@ -33,7 +33,7 @@ from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision, levels_for
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
+from devrf.reconstruct.training_state import FlatAdam, grids_state, net_state, take_up_grids, take_up_net
 
 PAYS_DB = 0.1  # a smaller gain, be it no chance, is not worth another model at rest
 LR = 0.03  # initial, of the grids; a tenth of training's: the scene at rest is nearly right; falls by 10
@@ -138,7 +138,7 @@ class _Recipe:
         self.density, self.features = GridTrainer(canonical.density), GridTrainer(canonical.features)
         for grid in self._grids().values():
             grid.visit(reachable)
-        self.net = torch.optim.Adam(canonical.net.parameters(), 0.0, BETAS, EPS)
+        self.net = FlatAdam(canonical.net)
         self.guard = Guard()
         self.windows = _windows(motion, device)
         self.errors_before = self.errors()  # and its last window is entered
@@ -176,15 +176,12 @@ class _Recipe:
         lr = self.guard.rate * o.learning_rate * LR * 0.1 ** (iteration / o.fine_tuning)
         self.features.update(lr, flag=self.density.grad[0])
         self.density.update(lr)
-        for group in self.net.param_groups:
-            group["lr"] = NET_SHARE * lr
-        self.net.step()
-        self.net.zero_grad()
+        self.net.step(NET_SHARE * lr)
         return parts | {"mse_at_rest": parts_at_rest[0]}
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = {"generator": self.generator.get_state()} | net_state(self.rest.canonical.net, self.net)
+        tensors = {"generator": self.generator.get_state()} | net_state(self.net)
         return tensors | grids_state(self._grids()), {"window": self.window, "guard": self.guard.state()}
 
     def go_back(self, log: TrainingLog, rest: RestModel, iteration: int) -> None:
@@ -202,13 +199,13 @@ class _Recipe:
         canonical.net.load_state_dict(rest.canonical.net.state_dict())
         for grid in self._grids().values():
             grid.forget()
-        self.net.state.clear()
+        self.net.forget()
 
     def take_up(self, saved: Saved) -> int:
         """Go on from a `state`; returns the number of iterations behind it."""
         done, tensors, numbers = saved
         take_up_grids(self._grids(), tensors)
-        take_up_net(self.rest.canonical.net, self.net, tensors)
+        take_up_net(self.net, tensors)
         self.generator.set_state(tensors["generator"])
         self.guard.take_up(numbers["guard"])
         self.enter(numbers["window"])

@@ -24,7 +24,6 @@ from devrf.reconstruct.still_picture import MOST_BYTES
 # Measured on a CPU as differences of peaks between trainings that differ in one size (Linux, torch 2.13, warp 1.17).
 IMPORTED = 310e6  # of libraries, when all is imported
 AT_WORK = 160e6  # more of them after the first iterations
-OPTIMISER = 60e6  # and PyTorch's own, where an MLP is trained
 TRAINED = 16  # per value: itself, gradient, two moments
 GOOD = 4  # per value: as it was at the last good point
 VERTEX, VERTEX_STAYS = 37, 9  # per vertex beside: while occupancy is rebuilt, and else
@@ -154,10 +153,8 @@ def footprints(
     def of(options: CanonicalOptions | MotionOptions) -> Footprint:
         libraries = max(IMPORTED, held) + AT_WORK
         if isinstance(options, CanonicalOptions):
-            libraries += OPTIMISER
             kept, trained = {}, _at_rest(size, adapted(options))
         else:
-            libraries += OPTIMISER if options.fine_tuning else 0.0
             kept, trained = _in_motion(size, options, on_gpu=device != "cpu")
         main = {"libraries": libraries} | kept
         if device == "cpu":

@@ -65,7 +65,7 @@ def changing_pixels(rays: RaySet, flows: Mapping[str, CameraFlow] | None = None)
     groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
     for n, camera in enumerate(rays.cameras):
         groups[camera.view].append(n)
-    of_frame = [torch.zeros(0, dtype=torch.int64)] * len(rays)
+    of_frame = [torch.zeros(0, dtype=torch.int64, device=rays.device)] * len(rays)
     for members in groups.values():
         if len(members) < 2:
             continue

@@ -15,7 +15,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
-from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
+from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.kernels.adam import add_total_variation, add_touched_variation
 from devrf.reconstruct.kernels.launch import copies_for
@@ -41,7 +41,7 @@ from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.subject_box import subject_box
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
+from devrf.reconstruct.training_state import FlatAdam, grids_state, net_state, take_up_grids, take_up_net
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 25
@@ -182,7 +182,7 @@ class _Recipe:
                 points=points_of(scene),
             )
         self.shell_variation = options.shell_variation * torch.tensor([0.1, 1, 1, 1], device=device)
-        self.net_optimiser = torch.optim.Adam(self.canonical.net.parameters(), LR_MLP, BETAS, EPS)
+        self.net_optimiser = FlatAdam(self.canonical.net)
         self.decay = 1.0
         self.guard = Guard()
         self.good: dict[str, Tensor] = {}  # values at the last good point
@@ -245,7 +245,7 @@ class _Recipe:
             values.copy_(self.good[name])
         for grid in self._grids().values():
             grid.forget()
-        self.net_optimiser.state.clear()
+        self.net_optimiser.forget()
         self._find_reachable()
         return self.good_iteration
 
@@ -304,15 +304,12 @@ class _Recipe:
                 around, weights = self.surround, self.shell_variation / rays
                 add_touched_variation(around.values, around.grad, around.reachable, weights, VARIATION_CLAMP)
             self.surround.update(lr_grid)
-        for group in self.net_optimiser.param_groups:
-            group["lr"] = lr_mlp
-        self.net_optimiser.step()
-        self.net_optimiser.zero_grad()
+        self.net_optimiser.step(lr_mlp)
 
     def state(self, generator: torch.Generator) -> State:
         """Everything that the next iteration depends on."""
         tensors = {"distance": self.canonical.distance, "generator": generator.get_state()}
-        tensors |= net_state(self.canonical.net, self.net_optimiser) | grids_state(self._grids())
+        tensors |= net_state(self.net_optimiser) | grids_state(self._grids())
         if self.shell is not None:
             tensors["surround distance"] = self.shell.distance
         tensors |= {f"{GOOD}{name}": values for name, values in self.good.items()}
@@ -338,7 +335,7 @@ class _Recipe:
         self.guard.take_up(numbers["guard"])
         good = {name.removeprefix(GOOD): x for name, x in tensors.items() if name.startswith(GOOD)}
         self.good = {name: x.to(device) for name, x in good.items()}
-        take_up_net(self.canonical.net, self.net_optimiser, tensors)
+        take_up_net(self.net_optimiser, tensors)
         self._new_trainers()
         take_up_grids(self._grids(), tensors)
         self._visit(self.canonical.reachable(), None if self.shell is None else self.shell.reachable())

@@ -20,7 +20,7 @@ from devrf.reconstruct.as_trained import retimed
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.corrections import Corrections
-from devrf.reconstruct.grids import BETAS, EPS, GridTrainer, grown
+from devrf.reconstruct.grids import GridTrainer, grown
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.left_out import LeftOut
 from devrf.reconstruct.left_out_errors import Errors, errors_of
@@ -36,7 +36,7 @@ from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
+from devrf.reconstruct.training_state import FlatAdam, grids_state, net_state, take_up_grids, take_up_net
 
 PICTURES = 16  # of which an iteration's rays are
 LR_FEATURES, LR_DENSITY, LR_NET, LR_SHADING = 0.1, 0.15, 3e-4, 0.03  # initial; all fall by 10
@@ -200,9 +200,8 @@ class _Recipe:
             "movers density": GridTrainer(own.density),
             "movers features": GridTrainer(own.features),
         }
-        self.net = torch.optim.Adam(stands.net.parameters(), 0.0, BETAS, EPS)
-        self.light = torch.optim.Adam(self.shading.parameters(), 0.0, BETAS)
-        self.places = torch.optim.Adam(self.corrections.parameters(), 0.0, BETAS)
+        modules = (stands.net, self.shading, self.corrections)
+        self.net, self.light, self.places = (FlatAdam(module) for module in modules)
         self._look()
 
     def _look(self) -> None:
@@ -233,10 +232,7 @@ class _Recipe:
             grid.update(decay * (LR_DENSITY if name.endswith("density") else LR_FEATURES))
         places = LR_PLACES * self.stands.voxel
         for optimiser, rate in ((self.net, LR_NET), (self.light, LR_SHADING), (self.places, places)):
-            for group in optimiser.param_groups:
-                group["lr"] = decay * rate
-            optimiser.step()
-            optimiser.zero_grad()
+            optimiser.step(decay * rate)
         return parts
 
     def _losses(self, batch: RayBatch, placed: Placed, around: Around) -> dict[str, Tensor]:
@@ -257,20 +253,19 @@ class _Recipe:
     def state(self) -> State:
         """Everything that the next iteration depends on."""
         tensors = {"generator": self.generator.get_state()}
-        tensors |= net_state(self.stands.net, self.net) | grids_state(self.grids)
-        tensors |= net_state(self.shading, self.light, "light ")
-        tensors |= net_state(self.corrections, self.places, "places ")
+        tensors |= net_state(self.net) | grids_state(self.grids)
+        tensors |= net_state(self.light, "light ") | net_state(self.places, "places ")
         return tensors, {"guard": self.guard.state()}
 
     def take_up(self, saved: Saved) -> int:
         """Go on from a `state`, at a point at which the next step looks; returns the iterations behind it."""
         done, tensors, numbers = saved
         take_up_grids(self.grids, tensors)
-        take_up_net(self.stands.net, self.net, tensors)
+        take_up_net(self.net, tensors)
         self.generator.set_state(tensors["generator"])
         self.guard.take_up(numbers["guard"])
-        take_up_net(self.shading, self.light, tensors, "light ")
-        take_up_net(self.corrections, self.places, tensors, "places ")
+        take_up_net(self.light, tensors, "light ")
+        take_up_net(self.places, tensors, "places ")
         return done
 
     def go_back(self, log: TrainingLog, stands: Canonical, movers: Movers, iteration: int) -> None:

@@ -1,5 +1,8 @@
 """Every kernel against its plain reference, forward and gradient, with points at edges and outside."""
 
+import copy
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,7 @@ from devrf.reconstruct.kernels.occupancy import (
 )
 from devrf.reconstruct.kernels.quad import quad, quad_ref
 from devrf.reconstruct.kernels.trilinear import trilinear, trilinear_ref
+from devrf.reconstruct.training_state import FlatAdam, net_state, take_up_net
 
 AABB = torch.tensor([[-1.0, -0.5, -0.8], [1.0, 0.7, 0.9]])
 # sums of eight products of order one, multiplied by up to ten vertices per unit
@@ -273,6 +277,35 @@ def test_adam_matches_torch() -> None:
                 dense_step(values, grad, m, v, step, 0.1, (0.9, 0.99), 1e-8)
             torch.testing.assert_close(values, theirs.detach(), rtol=1e-4, atol=1e-5)
             assert torch.count_nonzero(copies if masked else grad) == 0
+
+
+def test_one_vector_of_parameters_is_trained_as_torch_does() -> None:
+    torch.manual_seed(3)
+    ours = torch.nn.Sequential(torch.nn.Linear(4, 5), torch.nn.ReLU(), torch.nn.Linear(5, 2))
+    theirs, x = copy.deepcopy(ours), torch.randn(7, 4)
+    mine, reference = FlatAdam(ours), torch.optim.Adam(theirs.parameters(), 0.01, (0.9, 0.99), eps=1e-8)
+    for _ in range(20):
+        (ours(x) ** 2).sum().backward()
+        mine.step(0.01)
+        (theirs(x) ** 2).sum().backward()
+        reference.step()
+        reference.zero_grad()
+    for a, b in zip(ours.parameters(), theirs.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-4, atol=1e-5)
+    again = FlatAdam(copy.deepcopy(ours))
+    take_up_net(again, {key: value.clone() for key, value in net_state(mine).items()})
+    for each, module in ((mine, ours), (again, again.module)):
+        (module(x) ** 2).sum().backward()
+        each.step(0.01)
+    assert torch.equal(mine.values, again.values) and mine.steps == again.steps == 21
+
+
+def test_trainings_do_without_the_optimisers_of_torch() -> None:
+    """Importing them takes two seconds of each process."""
+    code = "import sys, devrf.reconstruct.train_deformation, devrf.reconstruct.train_canonical as t, torch; "
+    code += "t.FlatAdam(torch.nn.Linear(2, 2)).step(0.1); print('torch._dynamo' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
 
 
 def test_masked_adam_leaves_untouched_values_alone() -> None:
