@@ -190,6 +190,7 @@ PRESETS: dict[str, Options] = {
             coarse_rays=2048,
             coarse_size=96,
             hull_resolution=48,
+            deferred=True,
             **QUICK_CANONICAL,
         ),
         MotionOptions(

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from tests.reconstruct.conftest import held_rays
 
@@ -65,6 +66,16 @@ def test_what_moves_over_its_own_colour_is_found_by_flow() -> None:
     mask = mask.reshape(HEIGHT, WIDTH)
     assert mask[30:50, 40:70].all() and mask.sum() < 27 * 37  # 1.5 % of the width around
     assert not mask[:25].any() and not mask[60:].any()
+
+
+def test_pictures_without_change_are_on_the_device_of_the_others() -> None:
+    """A second camera has one picture: of its pixels none is known to change."""
+    pictures = film()
+    other = CAMERA.moved(np.array([[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]))
+    rays = held_rays([CAMERA] * len(pictures) + [other], [*pictures, pictures[0]])
+    rays.device = torch.device("meta")
+    found = changing_pixels(rays)
+    assert len(found.of_frame[0]) and {pixels.device.type for pixels in found.of_frame} == {"meta"}
 
 
 def test_changing_pixels_are_those_of_opencv() -> None:
