@@ -22,7 +22,7 @@ from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 from devrf.pipelines.clock_check import clock_check
-from devrf.pipelines.clocks import clock_dict, read_sync
+from devrf.pipelines.clocks import clock_dict, read_contradictions, read_sync
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
 from devrf.pipelines.health.rows import NO_PICTURE, HealthRow, left_out_row, note, of_test, without_refusal
@@ -167,15 +167,16 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
         return read_sync(context.run_dir) if frames.moving else {}
     ingest, said = context.run_dir / "ingest", read_sync(context.run_dir)
     cameras = {name: camera.camera for name, camera in rig.cameras.items()}
-    motion = read_motion(ingest, frames)
+    motion, contradictions = read_motion(ingest, frames), read_contradictions(context.run_dir)
     parts = 1 + len(frames.tests)
 
     def check(
-        n: int, asked: Mapping[str, CameraFrames], clocks: Mapping[str, Clock], known: Collection[str] = ()
+        n: int, asked: Mapping[str, CameraFrames], clocks: Mapping[str, Clock], test: str | None = None
     ) -> tuple[dict[str, Clock], list[HealthRow], dict[str, Any]]:
         return clock_check(
             ingest, asked, cameras, clocks, motion, rig.scale.metric,
-            lambda done, text: context.progress(0.4 * (n + done) / parts, text), known,
+            lambda done, text: context.progress(0.4 * (n + done) / parts, text),
+            () if test is None else frames.trained, contradictions.get(test),
         )  # fmt: skip
 
     clocks = {name: said[name] for name in frames.trained}
@@ -187,7 +188,7 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
     content["tests"] = {}
     for n, (name, camera) in enumerate(frames.tests.items()):
         alone = {one: clocks[one] for one in frames.trained} | {name: said[name]}
-        found, rows, told = check(n + 1, frames.trained | {name: camera}, alone, frames.trained)
+        found, rows, told = check(n + 1, frames.trained | {name: camera}, alone, name)
         clocks[name] = found[name]
         content["cameras"][name] = clock_dict(found[name])
         content["tests"][name] = {key: value for key, value in told.items() if key != "cameras"}

@@ -78,10 +78,11 @@ def clock_check(
     metric: bool,
     progress: Progress,
     known: Collection[str] = (),
+    loop_s: float | None = None,
 ) -> tuple[dict[str, Clock], list[HealthRow], dict[str, Any]]:
     """The clocks to be used, rows about them, and the content of `clock_check.json`.
 
-    `known`: cameras whose clocks stand, which the others are checked against.
+    `known`: cameras whose clocks stand, which the others are checked against; `loop_s`: `check_clocks`.
     """
     views = timed_pictures(folder, frames, cameras, clocks, motion)
     if len(views) < 2 or views.keys() <= set(known):
@@ -89,7 +90,7 @@ def clock_check(
         rows = [note("clocks that geometry cannot check", few)]
         asked = {n: c for n, c in clocks.items() if n not in known}
         return dict(clocks), rows + unknown_rows(asked, "too few pictures for geometry", frames), {}
-    check = check_clocks(views, clocks, progress, known)
+    check = check_clocks(views, clocks, progress, known, loop_s)
     used = refined(clocks, check)
     asked = {n: c for n, c in used.items() if n not in known}
     rows = check_rows(check, clocks, asked, frames) + unknown_rows(asked, "; ".join(check.notes), frames)

@@ -40,6 +40,13 @@ def read_clocks(path: Path) -> dict[str, tuple[float, float]]:
     return {name: (c["offset_s"], 1 + 1e-6 * c["drift_ppm"]) for name, c in clocks.items()}
 
 
+def read_contradictions(run_dir: Path) -> dict[str | None, float | None]:
+    """Largest contradiction between pairs of cameras, seconds: of those that are trained on (None), of test cameras."""
+    content = json.loads((run_dir / "sync" / "sync.json").read_text())
+    tests = {name: entry["loop_s"] for name, entry in content.get("tests", {}).items()}
+    return {None: content.get("loop_s"), **tests}
+
+
 def read_sync(run_dir: Path) -> dict[str, Clock]:
     """The moving cameras' clocks as stage `sync` wrote them."""
     cameras = json.loads((run_dir / "sync" / "sync.json").read_text())["cameras"]

@@ -28,6 +28,7 @@ LARGEST_SEARCH_FRAMES = 6.0
 FLAT_FRAMES = 0.5  # a minimum that is not known better than this many frames shows nothing
 SHIFT_FRAMES = 0.25  # a minimum farther from 0 than this is no rounding
 SHIFT_SIGMAS = 3.0
+SURE_S = 1e-3  # standard deviation by sound, and its largest contradiction, at which two pairs of cameras are enough
 SHARP_CONFIDENCE = 0.9
 GUESS_CONFIDENCE = 0.5  # below, a cue was refused and its own standard deviation says nothing
 LEAST_STD_S = 1e-4  # of a clock that is held
@@ -101,20 +102,59 @@ def check_clocks(
     clocks: Mapping[str, Clock],
     progress: Progress = no_progress,
     known: Collection[str] = (),
+    loop_s: float | None = None,
 ) -> GeometryCheck:
-    """Compare all pairs of cameras.
+    """Compare pairs of cameras: each camera with one other where sound is sure, and all where it or they are not.
 
     Args:
         views: Camera -> camera and pictures, whose times are those of the clocks to be checked.
         clocks: The clocks, for how sure they are.
         progress: Called after each pair.
         known: Cameras whose clocks stand: the others are compared with these, and these not with each other.
+        loop_s: Largest contradiction between the pairs that gave the clocks; None: there was none to be seen.
     """
+    asked = {n: clocks[n] for n in views if n not in known}
+    if loop_s is not None and loop_s <= SURE_S and all(map(_heard_surely, asked.values())):
+        few = _once_each(list(views), known)
+        alone = {n: view for n, view in views.items() if any(n in pair for pair in few)}
+        check = _compared(alone, clocks, few, progress, known)
+        sharp = {(p.first, p.second) for p in check.pairs if p.sharp}
+        if sharp == set(few) and not any(c.shifted for c in check.corrections.values()):
+            return check
+    every = [pair for pair in itertools.combinations(views, 2) if not set(pair) <= set(known)]
+    return _compared(views, clocks, every, progress, known)
+
+
+def _heard_surely(clock: Clock) -> bool:
+    return clock.method == "reference" or (clock.method == "audio" and clock.std_s <= SURE_S)
+
+
+def _once_each(names: Sequence[str], known: Collection[str]) -> list[tuple[str, str]]:
+    """Pairs in which each camera is once, of an odd number one twice; with `known` ones, each other one with two."""
+    stand = [n for n in names if n in known]
+    if stand:
+        return [
+            (a, b) if names.index(a) < names.index(b) else (b, a)
+            for b in names
+            if b not in known
+            for a in stand[:2]
+        ]
+    pairs = list(zip(names[::2], names[1::2], strict=False))
+    return pairs if len(names) % 2 == 0 else [*pairs, (names[0], names[-1])]
+
+
+def _compared(
+    views: Mapping[str, TimedPictures],
+    clocks: Mapping[str, Clock],
+    combinations: Sequence[tuple[str, str]],
+    progress: Progress,
+    known: Collection[str],
+) -> GeometryCheck:
+    """What these pairs say; of cameras that no chain of pairs connects with the first one, one stands."""
     names = list(views)
     spans = {n: (float(v.time_s[0]), float(v.time_s[-1])) for n, v in views.items()}
     work = _Work(views)
-    combinations = [pair for pair in itertools.combinations(names, 2) if not set(pair) <= set(known)]
-    stand = [n for n in names if n in known]
+    stand = [n for n in names if n in known] or _first_of_groups(names, combinations)
     firm = [Equation(stand[0], n, 0.0, 0.0, LEAST_STD_S, "geometry", 1.0) for n in stand[1:]]
     planes, pairs = {}, {}
     for i, (a, b) in enumerate(combinations):
@@ -155,6 +195,15 @@ def check_clocks(
     checked = tuple(p for p in pairs.values() if p is not None)
     held = corrections(solve(spans, [*kept, *said]))
     return GeometryCheck(checked, corrections(solution), held, tuple(loops(names, kept)), tuple(notes))
+
+
+def _first_of_groups(names: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[str]:
+    """Of each group of cameras that pairs connect the first."""
+    group = {n: n for n in names}
+    for a, b in pairs:
+        one, other = group[a], group[b]
+        group = {n: one if g == other else g for n, g in group.items()}
+    return [n for n in names if n in set(group.values())]
 
 
 def refined(clocks: Mapping[str, Clock], check: GeometryCheck) -> dict[str, Clock]:

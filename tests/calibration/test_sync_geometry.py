@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -104,6 +105,20 @@ def test_right_clocks_pass_and_a_late_one_is_found_and_replaced():
 
 
 @pytest.mark.full
+@pytest.mark.parametrize(("late", "pairs"), [(None, 2), ("cam2", 6)])
+def test_a_camera_whose_sound_is_200_ms_off_is_found_where_sound_seems_sure(late: str | None, pairs: int):
+    names = ("cam0", "cam1", "cam2", "cam3")
+    views = {name: example_view(name, 0.2 if name == late else 0.0) for name in names}
+    clocks = {name: Clock(0.0, 0.0, 1e-4, "audio", 0.95, "") for name in names}
+    clocks["cam0"] = Clock(0.0, 0.0, 0.0, "reference", 1.0, "")
+    check = check_clocks(views, clocks, loop_s=1e-4)
+    assert len(check.pairs) == pairs
+    assert {n for n, c in check.corrections.items() if c.shifted} == ({late} if late else set())
+    if late:
+        assert check.corrections[late].offset_s == pytest.approx(-0.2, abs=0.01)
+
+
+@pytest.mark.full
 @pytest.mark.parametrize("stride", [1, 2])
 def test_real_views_from_opposite_sides_within_half_a_frame(data_dir, stride):
     """Hardware-synchronised cameras 148 degrees apart, a man moves: copies that begin at other frames."""
@@ -165,8 +180,9 @@ def given_pairs(
     monkeypatch.setattr("devrf.calibration.clocks.geometry._Work", Pairs)
     names = ("cam0", "cam1", "cam2")
     camera = poster("sideways", 0.0, 0.0).camera
+    names = sorted({n for pair in found for n in pair} | set(names))
     views = {n: TimedPictures(camera, np.zeros((2, 1, 1), np.uint8), np.array([0.0, 2.0])) for n in names}
-    return lambda clocks: check_clocks(views, clocks)
+    return lambda clocks, **more: check_clocks(views, clocks, **more)
 
 
 def test_a_clock_that_is_not_known_is_corrected_beside_those_that_are(monkeypatch: pytest.MonkeyPatch):
@@ -212,3 +228,50 @@ def test_a_camera_that_no_pair_reaches_keeps_its_guess(monkeypatch: pytest.Monke
     clocks |= {"cam1": guess, "cam2": guess}
     used = refined(clocks, given_pairs(monkeypatch, found)(clocks))
     assert used["cam2"] == guess and used["cam1"].offset_s == pytest.approx(0.11, abs=0.001)
+
+
+PAIRS_OF_FOUR = [(f"cam{a}", f"cam{b}") for a in range(4) for b in range(a + 1, 4)]
+
+
+@pytest.mark.parametrize(
+    ("change", "pairs"),
+    [
+        ({}, 2),
+        ({"loop_s": None}, 6),
+        ({"loop_s": 0.002}, 6),
+        ({"std_s": 0.002}, 6),
+        ({"method": "motion"}, 6),
+        ({"late": 0.2}, 6),
+        ({"vague": True}, 6),
+    ],
+)
+def test_where_sound_is_sure_each_camera_is_compared_with_one_other(
+    monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], pairs: int
+):
+    """All pairs are compared where something is not sure: sound, its contradictions, or what two pairs say."""
+    late = change.get("late", 0.0)
+    found = {(a, b): (late * (b == "cam3"), 0.1 if change.get("vague") else 0.001) for a, b in PAIRS_OF_FOUR}
+    heard = Clock(0.2, 0.0, change.get("std_s", 1e-4), change.get("method", "audio"), 0.9, "")
+    clocks = dict.fromkeys(["cam1", "cam2", "cam3"], heard)
+    clocks = {"cam0": Clock(0.0, 0.0, 0.0, "reference", 1.0, ""), **clocks}
+    check = given_pairs(monkeypatch, found)(clocks, loop_s=change.get("loop_s", 1e-4))
+    assert len(check.pairs) == pairs
+    if pairs == 2:
+        assert {n for p in check.pairs for n in (p.first, p.second)} == set(clocks)
+        assert set(check.corrections) == {"cam1", "cam2", "cam3"} and not check.notes
+    shifted = {n for n, c in check.corrections.items() if c.shifted}
+    assert shifted == ({"cam3"} if late else set())
+    if late:
+        assert check.corrections["cam3"].offset_s == pytest.approx(late, abs=0.01)
+
+
+def test_a_test_camera_with_sure_sound_is_compared_with_two_that_stand(monkeypatch: pytest.MonkeyPatch):
+    found = {pair: (0.2 * (pair[1] == "cam3"), 0.001) for pair in PAIRS_OF_FOUR}
+    heard = Clock(0.2, 0.0, 1e-4, "audio", 0.9, "")
+    clocks = {"cam0": Clock(0.0, 0.0, 0.0, "reference", 1.0, "")}
+    clocks |= dict.fromkeys(["cam1", "cam2", "cam3"], heard)
+    known = ("cam0", "cam1", "cam3")
+    check = given_pairs(monkeypatch, found)(clocks, known=known, loop_s=1e-4)
+    assert {(p.first, p.second) for p in check.pairs} == {("cam0", "cam2"), ("cam1", "cam2")}
+    late = given_pairs(monkeypatch, found)(clocks, known=("cam0", "cam1", "cam2"), loop_s=1e-4)
+    assert len(late.pairs) == 3 and late.corrections["cam3"].shifted
