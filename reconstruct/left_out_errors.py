@@ -13,12 +13,10 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 
-from devrf.capture.scene import Scene
 from devrf.reconstruct.left_out import LeftOut
 from devrf.reconstruct.model import DynamicModel, Rendered, Seen
-from devrf.reconstruct.moving_pixels import changing_pixels
+from devrf.reconstruct.moving_pictures import MovingPictures
 from devrf.reconstruct.paired import Gain, gain_within_clips
-from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 
@@ -89,18 +87,13 @@ def gain_text(gain: Gain) -> str:
     return f"{gain.mean:+.2f} ± {gain.half:.2f} dB"
 
 
-def errors_in_motion(scene: Scene, model: DynamicModel, device: str) -> Errors:
-    """Errors of a model of motion.
-
-    Args:
-        scene: In the box frame; its moving cameras that are trained on are asked.
-        model: Trained on it, these pixels left out.
-        device: cpu or cuda.
-    """
-    rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
-    around = PixelSurroundings(DynamicModel(model.rest), rays)
-    left_out = LeftOut(rays, changing_pixels(rays))
-    return errors_of(rays, left_out, around, lambda some: model.box_at(some.rays_o, some.rays_d, some.time))
+def errors_in_motion(pictures: MovingPictures, model: DynamicModel) -> Errors:
+    """Errors of a model of motion that was trained on these pictures, pixels left out."""
+    rays = pictures.rays
+    left_out = LeftOut(rays, pictures.changing)
+    return errors_of(
+        rays, left_out, pictures.around, lambda some: model.box_at(some.rays_o, some.rays_d, some.time)
+    )
 
 
 @torch.no_grad()

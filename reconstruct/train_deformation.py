@@ -7,6 +7,7 @@ which are trained together with what stands; else, and where that explains too l
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.fine_tune import fine_tune
 from devrf.reconstruct.left_out_errors import Errors, errors_in_motion, gain_text
 from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.moving_pictures import MovingPictures
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
@@ -70,7 +72,8 @@ def train_deformation(
     if isinstance(tracked, Decision):
         metrics["decisions"].append(str(tracked))
         return model, metrics
-    return _of_both(tracked, model, metrics, errors_in_motion(scene.in_box_frame(), model, device))
+    pictures = MovingPictures(scene.in_box_frame(), rest, device)
+    return _of_both(tracked, model, metrics, errors_in_motion(pictures, model))
 
 
 @dataclass(frozen=True)
@@ -121,12 +124,13 @@ def _movers(
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # it can be tracked
     followed: list[Decision] = []
+    pictures = cache(lambda: MovingPictures(boxed, rest, device))
 
     def better(*two: Found | None) -> bool:
         by_nodes, by_parts = (
             None
             if one is None
-            else untrained_errors(boxed, rest, one.stands, [one.movers], options, device)[0]
+            else untrained_errors(boxed, rest, one.stands, [one.movers], options, pictures())[0]
             for one in two
         )
         followed.append(_followed(by_nodes, by_parts))
@@ -144,7 +148,7 @@ def _movers(
     if not every:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
     if not (followed and followed[-1].chosen == BY_PARTS):  # else no part stretches in its tracks
-        every, softness = _softened(boxed, rest, every, options, device)
+        every, softness = _softened(boxed, rest, every, options, pictures())
         followed.append(softness)
     tracking_s = log.seconds
     try:
@@ -156,6 +160,7 @@ def _movers(
             device,
             lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
             checkpoint,
+            pictures(),
         )
     except ReconstructError as error:
         if error.code != DIVERGED:
@@ -201,12 +206,12 @@ def _followed(by_nodes: Errors | None, by_parts: Errors | None) -> Decision:
 
 
 def _softened(
-    boxed: Scene, rest: RestModel, every: Sequence[Found], options: MotionOptions, device: str
+    boxed: Scene, rest: RestModel, every: Sequence[Found], options: MotionOptions, pictures: MovingPictures
 ) -> tuple[list[Found], Decision]:
     """What was found, with parts that may stretch where that explains more before training, by more than chance."""
     soft = [found.softened() for found in every]
     motions = [every[0].movers, soft[0].movers]
-    by_rigid, by_soft = untrained_errors(boxed, rest, every[0].stands, motions, options, device)
+    by_rigid, by_soft = untrained_errors(boxed, rest, every[0].stands, motions, options, pictures)
     gain = by_soft.gain_over(by_rigid)
     reason = f"{TRACKED} soft ones gain {gain_text(gain)} before training"
     chosen, other = (SOFT, RIGID) if gain.side() > 0 else (RIGID, SOFT)
@@ -221,13 +226,23 @@ def _better(
     device: str,
     progress: Progress,
     checkpoint: Checkpoint,
+    pictures: MovingPictures,
 ) -> tuple[Found, Trained, list[str]]:
     """What was found, trained; with clocks moved where that explains more, by more than chance, and why."""
 
     def train(n: int) -> Trained:
         found, part = every[n], checkpoint.part(f"movers{n}")
         return train_movers(
-            boxed, rest, found.stands, found.movers, options, device, progress, part, found.offsets_s
+            boxed,
+            rest,
+            found.stands,
+            found.movers,
+            options,
+            device,
+            progress,
+            part,
+            found.offsets_s,
+            pictures,
         )
 
     found, trained = every[0], train(0)

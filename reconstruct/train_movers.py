@@ -9,6 +9,7 @@ of what the sweep has taught.
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -27,14 +28,14 @@ from devrf.reconstruct.left_out_errors import Errors, errors_of
 from devrf.reconstruct.losses import entropy_loss, per_point_loss, rendering_loss
 from devrf.reconstruct.model import Around, DynamicModel
 from devrf.reconstruct.movers import Movers, Placed, draw_layered, render_layered
-from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
+from devrf.reconstruct.moving_pictures import MovingPictures
+from devrf.reconstruct.moving_pixels import draw_with_importance
 from devrf.reconstruct.options import MotionOptions, longer
 from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import Seen
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
-from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.training_state import FlatAdam, grids_state, net_state, take_up_grids, take_up_net
 
@@ -82,6 +83,7 @@ def train_movers(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     offsets_s: Mapping[str, float] | None = None,
+    pictures: MovingPictures | None = None,
 ) -> Trained:
     """Train for `together` iterations, for more where motion lasts longer than these are meant for.
 
@@ -95,11 +97,13 @@ def train_movers(
         progress: Told how far it is.
         checkpoint: Where to keep the state between two iterations, and to take it up from.
         offsets_s: Seconds by which cameras took their pictures later than the scene says.
+        pictures: Those of the scene, where they are at hand.
     Raises:
         ReconstructError: The loss diverges with small steps, too.
     """
     log = TrainingLog(device, LOG_EVERY)
-    recipe = _Recipe(scene, rest, stands, movers, options, device, offsets_s or {})
+    pictures = pictures or MovingPictures(scene, rest, device)
+    recipe = _Recipe(scene, rest, stands, movers, options, pictures, offsets_s or {})
     iterations = recipe.iterations
     saved = checkpoint.found(log)
     iteration = 0 if saved is None else recipe.take_up(saved)
@@ -132,13 +136,13 @@ def untrained_errors(
     stands: Canonical,
     motions: Sequence[Movers],
     options: MotionOptions,
-    device: str,
+    pictures: MovingPictures,
 ) -> list[Errors]:
     """Errors where training begins, in a little fog, of motions of the same parts, on pixels that it will leave out.
 
     Tracking, which gave these motions, has read the pixels. Arguments as `train_movers`'s.
     """
-    recipe = _Recipe(scene, rest, stands, motions[0], options, device)
+    recipe = _Recipe(scene, rest, stands, motions[0], options, pictures, {})
     moved = (
         replace(recipe.movers, rotations=m.rotations, shifts=m.shifts, stretches=m.stretches) for m in motions
     )
@@ -155,19 +159,17 @@ class _Recipe:
         stands: Canonical,
         movers: Movers,
         options: MotionOptions,
-        device: str,
-        offsets_s: Mapping[str, float] | None = None,
+        pictures: MovingPictures,
+        offsets_s: Mapping[str, float],
     ) -> None:
         times = movers.times
         more = longer(float(times[-1] - times[0]) * (scene.t1_s - scene.t0_s))
-        self.options, self.rest, self.device = options, rest, device
+        self.scene, self.options, self.rest = scene, options, rest
         self.iterations = round(more * options.together)
-        self.rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
-        self.pictures = _retime(self.rays, scene, offsets_s or {})
-        self.changing = changing_pixels(self.rays)
+        at, self.pictures = _times(pictures.rays, scene, offsets_s)
+        timed = pictures.at(at)
+        self.rays, self.changing, self.around = timed.rays, timed.changing, timed.around
         self.left_out = LeftOut(self.rays, self.changing, self.pictures)
-        self.around = PixelSurroundings(DynamicModel(rest), self.rays)
-        self.sweep = RaySet(training(scene.static), scene.image_scale, scene.background, device)
         self.at_rest = DynamicModel(rest)
         rest_time = torch.tensor([scene.rest_time or 0.0], device=self.rays.times.device)
         self.in_sweep = movers.at_rest(rest_time)
@@ -182,6 +184,12 @@ class _Recipe:
         self.movers = replace(movers, canonical=own, shading=self.shading)
         self.guard = Guard()
         self._begin()
+
+    @cached_property
+    def sweep(self) -> RaySet:
+        """Pictures of the scene at rest."""
+        scene = self.scene
+        return RaySet(training(scene.static), scene.image_scale, scene.background, str(self.rays.device))
 
     def _begin(self) -> None:
         """Fog where something could stand; fresh optimisers."""
@@ -319,16 +327,15 @@ class _Recipe:
         return errors_of(*asked, seen)
 
 
-def _retime(rays: RaySet, scene: Scene, offsets_s: Mapping[str, float]) -> Tensor:
-    """Give training pictures the times of moved clocks; returns the numbers of those that are modelled then.
+def _times(rays: RaySet, scene: Scene, offsets_s: Mapping[str, float]) -> tuple[Tensor, Tensor]:
+    """Times of training pictures by moved clocks, and the numbers of those that are modelled then.
 
     All keep their numbers, and so the pixels that are left out: trainings with other clocks are compared by them.
     """
     time = {(f.camera_name, f.index): f.time for f in retimed(scene, offsets_s).dynamic}
     there = [(f.camera_name, f.index) in time for f in rays.frames]
     times = [time.get((f.camera_name, f.index), f.time) or 0.0 for f in rays.frames]
-    rays.times = torch.tensor(times, dtype=rays.times.dtype, device=rays.times.device)
-    return torch.tensor(there).nonzero()[:, 0]
+    return torch.tensor(times), torch.tensor(there).nonzero()[:, 0]
 
 
 def _weighted(parts: dict[str, Tensor]) -> Tensor:

@@ -32,6 +32,7 @@ from devrf.reconstruct.left_out_errors import Errors, errors_in_motion
 from devrf.reconstruct.model import DynamicModel, render_layers, render_view
 from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
 from devrf.reconstruct.movers import Movers, draw_layered, render_layered
+from devrf.reconstruct.moving_pictures import MovingPictures
 from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.options import PRESETS, MotionOptions
 from devrf.reconstruct.rays import camera_rays
@@ -426,7 +427,7 @@ def test_what_moves_for_longer_is_trained_for_longer_and_has_more_moments_of_sha
 ) -> None:
     stands, own, labels = halves(rest)
     scene = replace(session, t0_s=1.0, t1_s=1.0 + seconds)
-    recipe = _Recipe(scene, rest, stands, still(own, labels), OPTIONS, "cpu")
+    recipe = _Recipe(scene, rest, stands, still(own, labels), OPTIONS, MovingPictures(scene, rest, "cpu"), {})
     assert recipe.iterations == iterations and recipe.shading.grid.shape[1] == keys
 
 
@@ -589,7 +590,7 @@ def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: 
     assert metrics["rigid_parts"][0]["longest_lost"] == 0 and metrics["lost_share"] == 0
     assert metrics["clock_offsets_s"] == {}
     still, field, movers = (
-        errors_in_motion(session.in_box_frame(), one, "cpu")
+        errors_in_motion(MovingPictures(session.in_box_frame(), one.rest, "cpu"), one)
         for one in (whole(rest, 0 * TRAVEL), DynamicModel(rest, model.motion), model)
     )
     assert 3 < field.gain_db(still) < movers.gain_db(still)  # what stood behind is not in the field
@@ -667,8 +668,10 @@ def test_what_moves_as_found_has_a_smaller_error_before_training(
     session: Scene, rest: RestModel, tracked
 ) -> None:
     found, away = tracked(TRAVEL, -TRAVEL)
-    motions = [found.movers, away.movers]
-    right, wrong = untrained_errors(session.in_box_frame(), rest, found.stands, motions, OPTIONS, "cpu")
+    motions, boxed = [found.movers, away.movers], session.in_box_frame()
+    right, wrong = untrained_errors(
+        boxed, rest, found.stands, motions, OPTIONS, MovingPictures(boxed, rest, "cpu")
+    )
     assert 0 < right.mean < wrong.mean / 2 and right.gain_over(wrong).side() > 0
 
 
