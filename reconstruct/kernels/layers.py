@@ -1,7 +1,7 @@
 # ruff: noqa: UP018 (float(1.0) makes a variable in a Warp kernel, 1.0 a constant)
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportCallIssue=false, reportArgumentType=false
 # pyright: reportOperatorIssue=false, reportAttributeAccessIssue=false
-"""March rays through what stands and all parts that move in one launch, and composite pictures of them in another form.
+"""March rays through what stands and all parts that move in one launch, and composite pictures of them in another.
 
 A ray is taken back into each volume's own frame, marched there as march.py does it, and what is found is kept in order
 along the ray: samples near to far, whichever volume they are of. A part costs a ray only where the ray meets its box.
@@ -160,16 +160,14 @@ def march_layers(
     if not use_warp(rays_o.device):
         return march_layers_ref(stands, parts, turned, rays_o, rays_d, near, jitter)
     R, device = len(rays_o), rays_o.device
-    shared, table = _shared(stands, parts, turned, rays_o, rays_d, near, jitter), _table(R, device)
-    counts = torch.empty(R, dtype=torch.int32, device=device)
-    launch(_march, R, [*shared, *table, array(counts)], device)
+    marched = _marched(stands, parts, turned, rays_o, rays_d, near, jitter)
     offsets = torch.zeros(R + 1, dtype=torch.int64, device=device)
-    torch.cumsum(counts, 0, out=offsets[1:])
+    torch.cumsum(marched.counts, 0, out=offsets[1:])
     S = int(offsets[-1])
     ray_id, part = (torch.empty(S, dtype=torch.int64, device=device) for _ in range(2))
     t, x, towards = (torch.empty(S, *shape, device=device) for shape in ((), (3,), (3,)))
     outputs = [array(ray_id), array(t), array(part), array(x, wp.vec3), array(towards, wp.vec3)]
-    launch(_pack, R, [*shared[:2], *shared[3:6], *table, array(offsets), *outputs], device)
+    launch(_pack, R, [*marched.rays, *marched.table[:2], array(offsets), *outputs], device)
     return LayerSamples(ray_id, t, part, x, towards, offsets)
 
 
@@ -246,7 +244,8 @@ def draw_layers(
         counts_from: Weight from which a sample is seen.
     """
     R, device, channels = len(rays_o), rays_o.device, features.shape[3]
-    vec, kernel = _draw(channels)
+    corners = corners_and_scale(stands)
+    vec, kernel = _composed(channels)
     if light is None:
         none = rays_o.new_zeros(1)
         shown = [array(none), wp.vec4(), wp.vec3(), wp.vec3(), array(none)]
@@ -259,9 +258,11 @@ def draw_layers(
             array(light.moment.to(rays_o)),
         ]
     out = Drawn(rays_o.new_empty(R, channels), *rays_o.new_empty(4, R))
+    marched = _marched(stands, parts, turned, rays_o, rays_d, near, jitter)
     arguments = [
-        *_shared(stands, parts, turned, rays_o, rays_d, near, jitter),
-        *_table(R, device),
+        *marched.rays,
+        *(array(stands.density.reshape(-1)), wp.vec3i(*stands.density.shape)),
+        *(wp.vec3(*corners[0]), wp.vec3(*corners[2]), vec5(*rules_of(stands)), *marched.table),
         *(array(features, vec), array(own[0].reshape(-1)), array(own[1], vec)),
         *shown,
         *(counts_from, array(out.features, vec), *(array(x) for x in out[1:])),
@@ -270,18 +271,26 @@ def draw_layers(
     return out
 
 
-def _shared(
+class _Marched(NamedTuple):
+    """Arguments of kernels that follow the march: of rays and their pictures; what was found, with its counts."""
+
+    rays: list[Any]
+    table: list[Any]
+    counts: Tensor
+
+
+def _marched(
     stands: Volume, parts: Packed, turned: Turned, rays_o: Tensor, rays_d: Tensor, near: float, jitter: Tensor
-) -> list[Any]:
-    """Arguments of all kernels here."""
-    return [
-        *(
-            array(rays_o.contiguous(), wp.vec3),
-            array(rays_d.contiguous(), wp.vec3),
-            array(jitter.contiguous()),
-        ),
-        *(array(turned.frame), array(turned.back.contiguous(), wp.mat33)),
-        *(array(turned.shifts.contiguous(), wp.vec3), near),
+) -> _Marched:
+    """Distances and parts of the samples of each ray, sample by sample: what is not needed is never touched."""
+    R, device = len(rays_o), rays_o.device
+    ts, found = (torch.empty(MOST, R + ODD, dtype=k, device=device) for k in (torch.float32, torch.int32))
+    counts = torch.empty(R, dtype=torch.int32, device=device)
+    o, d = array(rays_o.contiguous(), wp.vec3), array(rays_d.contiguous(), wp.vec3)
+    frame, shifts = array(turned.frame), array(turned.shifts.contiguous(), wp.vec3)
+    back, table = array(turned.back.contiguous(), wp.mat33), [array(ts), array(found), array(counts)]
+    arguments = [
+        *(o, d, array(jitter.contiguous()), frame, back, shifts, near),
         *(
             array(stands.density.reshape(-1)),
             array(stands.distance.reshape(-1)),
@@ -290,14 +299,10 @@ def _shared(
         *(*(wp.vec3(*corner) for corner in corners_and_scale(stands)), vec5(*rules_of(stands))),
         *(array(parts.density), array(parts.distance), array(parts.first), array(parts.shapes, wp.vec3i)),
         *(array(parts.boxes, wp.vec3), array(parts.rules, vec5), array(parts.names)),
-        array(parts.spheres(turned).contiguous(), wp.vec4),
+        *(array(parts.spheres(turned).contiguous(), wp.vec4), *table),
     ]
-
-
-def _table(rays: int, device: torch.device) -> list[Any]:
-    """Distances and parts of the samples of each ray, sample by sample: what is not needed is never touched."""
-    kinds = (torch.float32, torch.int32)
-    return [array(torch.empty(MOST, rays + ODD, dtype=kind, device=device)) for kind in kinds]
+    launch(_march, R, arguments, device)
+    return _Marched([o, d, frame, back, shifts], table, counts)
 
 
 @wp.func
@@ -412,54 +417,6 @@ def through(
     return count
 
 
-@wp.func
-@no_type_check
-def through_all(
-    r: int,
-    rays_o: wp.array(dtype=wp.vec3),
-    rays_d: wp.array(dtype=wp.vec3),
-    jitter: wp.array(dtype=float),
-    frame: wp.array(dtype=wp.int64),
-    back: wp.array2d(dtype=wp.mat33),
-    shifts: wp.array2d(dtype=wp.vec3),
-    near: float,
-    density: wp.array(dtype=float),
-    distance: wp.array(dtype=wp.uint8),
-    shape: wp.vec3i,
-    lo: wp.vec3,
-    hi: wp.vec3,
-    scale: wp.vec3,
-    rules: vec5,
-    own_density: wp.array(dtype=float),
-    own_distance: wp.array(dtype=wp.uint8),
-    firsts: wp.array(dtype=wp.int32),
-    shapes: wp.array(dtype=wp.vec3i),
-    boxes: wp.array2d(dtype=wp.vec3),
-    own_rules: wp.array(dtype=vec5),
-    names: wp.array(dtype=wp.int32),
-    spheres: wp.array2d(dtype=wp.vec4),
-    ts: wp.array2d(dtype=float),
-    found: wp.array2d(dtype=wp.int32),
-) -> int:
-    """March a ray through what stands and all parts; returns how many samples it has."""
-    o = rays_o[r]
-    d = rays_d[r]
-    n = through(
-        r, 0, o, d, near, jitter[r], density, distance, 0, shape, lo, hi, scale, rules, 0, ts, found,
-    )  # fmt: skip
-    f = int(frame[r])
-    for v in range(names.shape[0]):
-        sphere = spheres[f, v]
-        aside = wp.cross(wp.vec3(sphere[0], sphere[1], sphere[2]) - o, d)
-        if wp.length_sq(aside) <= sphere[3] * sphere[3] * wp.length_sq(d):
-            m = names[v] - 1
-            n = through(
-                r, n, back[f, m] * (o - shifts[f, m]), back[f, m] * d, near, jitter[r], own_density, own_distance,
-                firsts[v], shapes[v], boxes[v, 0], boxes[v, 1], boxes[v, 2], own_rules[v], m + 1, ts, found,
-            )  # fmt: skip
-    return n
-
-
 @wp.kernel(enable_backward=False)
 @no_type_check
 def _march(
@@ -491,10 +448,22 @@ def _march(
     counts: wp.array(dtype=wp.int32),
 ):
     r = start + wp.tid()
-    counts[r] = through_all(
-        r, rays_o, rays_d, jitter, frame, back, shifts, near, density, distance, shape, lo, hi, scale, rules,
-        own_density, own_distance, firsts, shapes, boxes, own_rules, names, spheres, ts, found,
+    o = rays_o[r]
+    d = rays_d[r]
+    n = through(
+        r, 0, o, d, near, jitter[r], density, distance, 0, shape, lo, hi, scale, rules, 0, ts, found,
     )  # fmt: skip
+    f = int(frame[r])
+    for v in range(names.shape[0]):
+        sphere = spheres[f, v]
+        aside = wp.cross(wp.vec3(sphere[0], sphere[1], sphere[2]) - o, d)
+        if wp.length_sq(aside) <= sphere[3] * sphere[3] * wp.length_sq(d):
+            m = names[v] - 1
+            n = through(
+                r, n, back[f, m] * (o - shifts[f, m]), back[f, m] * d, near, jitter[r], own_density, own_distance,
+                firsts[v], shapes[v], boxes[v, 0], boxes[v, 1], boxes[v, 2], own_rules[v], m + 1, ts, found,
+            )  # fmt: skip
+    counts[r] = n
 
 
 @wp.kernel(enable_backward=False)
@@ -555,39 +524,28 @@ def light_at(
 
 
 @functools.cache
-def _draw(channels: int) -> Any:
+def _composed(channels: int) -> Any:
     vec = wp.types.vector(length=channels, dtype=wp.float32)
 
     @wp.kernel(enable_backward=False, module="unique")
     @no_type_check
-    def draw(
+    def composed(
         start: int,
         rays_o: wp.array(dtype=wp.vec3),
         rays_d: wp.array(dtype=wp.vec3),
-        jitter: wp.array(dtype=float),
         frame: wp.array(dtype=wp.int64),
         back: wp.array2d(dtype=wp.mat33),
         shifts: wp.array2d(dtype=wp.vec3),
-        near: float,
         density: wp.array(dtype=float),
-        distance: wp.array(dtype=wp.uint8),
         shape: wp.vec3i,
         lo: wp.vec3,
-        hi: wp.vec3,
         scale: wp.vec3,
         rules: vec5,
-        own_density: wp.array(dtype=float),
-        own_distance: wp.array(dtype=wp.uint8),
-        firsts: wp.array(dtype=wp.int32),
-        shapes: wp.array(dtype=wp.vec3i),
-        boxes: wp.array2d(dtype=wp.vec3),
-        own_rules: wp.array(dtype=vec5),
-        names: wp.array(dtype=wp.int32),
-        spheres: wp.array2d(dtype=wp.vec4),
         ts: wp.array2d(dtype=float),
         found: wp.array2d(dtype=wp.int32),
+        counts: wp.array(dtype=wp.int32),
         features: wp.array3d(dtype=vec),
-        whole_density: wp.array(dtype=float),
+        own_density: wp.array(dtype=float),
         own_features: wp.array3d(dtype=vec),
         light: wp.array(dtype=float),
         light_sizes: wp.vec4,
@@ -602,17 +560,13 @@ def _draw(channels: int) -> Any:
         out_depth: wp.array(dtype=float),
     ):
         r = start + wp.tid()
-        n = through_all(
-            r, rays_o, rays_d, jitter, frame, back, shifts, near, density, distance, shape, lo, hi, scale, rules,
-            own_density, own_distance, firsts, shapes, boxes, own_rules, names, spheres, ts, found,
-        )  # fmt: skip
         f = int(frame[r])
         left = float(1.0)
         depth = float(0.0)
         opacity = float(0.0)
         bright = float(0.0)
         mean = vec()
-        for s in range(n):
+        for s in range(counts[r]):
             t = ts[s, r]
             m = found[s, r] - 1
             x = rays_o[r] + rays_d[r] * t
@@ -621,7 +575,7 @@ def _draw(channels: int) -> Any:
                 x = back[f, m] * (x - shifts[f, m])
             q = wp.cw_mul(x - lo, scale)
             if m >= 0:
-                raw = density_at(whole_density, 0, shape, q)
+                raw = density_at(own_density, 0, shape, q)
             else:
                 raw = density_at(density, 0, shape, q)
             alpha = alpha_of(raw + rules[0], rules[1])
@@ -644,4 +598,4 @@ def _draw(channels: int) -> Any:
         out_left[r] = left
         out_depth[r] = depth
 
-    return vec, draw
+    return vec, composed
