@@ -342,7 +342,8 @@ def _layers(
         motion, tau = motion.at(time, device)
         live = model.live_at(time)
     out: list[tuple[Tensor, Tensor, Tensor]] = []
-    for o, d in _chunks(rays_o, rays_d, model.chunk):
+    # of movers little is held a ray, whatever its length in the box
+    for o, d in _chunks(rays_o, rays_d, model.chunk if placed is None else 2 * model.chunk):
         between()
         middle = o.new_full((len(o),), 0.5)
         if placed is not None:
