@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from devrf.reconstruct.tracking.normal_equations import Blocks, skew
 from devrf.reconstruct.tracking.surface import Surface
 
 NODES_APART = 4.5  # spacings of the points
@@ -46,6 +47,7 @@ class Graph:
         followed, weights: Nodes of each point, and how much it follows them [p, k].
         links: Neighbouring points, weighted by distance (sparse, symmetric).
         parts: What moves rigidly, counted from 0: each node by itself, or with others (`in_parts`) [n].
+        blocks: Of the matrix of a step of all nodes.
     """
 
     def __init__(self, surface: Surface, seed: int = 0) -> None:
@@ -67,6 +69,7 @@ class Graph:
         self.offsets: Float[np.ndarray, "p k 3"] = xyz[:, None] - self.nodes[self.followed]
         self.edges = self._edges(along[:, chosen])
         self.parts: Int[np.ndarray, " n"] = np.arange(len(self.nodes))
+        self.blocks = Blocks.of(self.followed, self.edges, len(self.nodes))
 
     def _edges(self, along: Float[np.ndarray, "n n"]) -> Int[np.ndarray, "e 2"]:
         n = len(self.nodes)
@@ -132,20 +135,6 @@ class Graph:
         """Vectors of the points, such as normals."""
         each = np.einsum("pkij,pj->pki", pose.rotations[self.followed], vectors)
         return (self.weights[..., None] * each).sum(1)
-
-    def derivative(self, pose: Pose, points: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m k 3 6"]:
-        """Of points by small rotations and shifts of their nodes."""
-        weight = self.weights[points][..., None, None]
-        turned = np.einsum("pkij,pkj->pki", pose.rotations[self.followed[points]], self.offsets[points])
-        return np.concatenate([-skew(turned), np.broadcast_to(np.eye(3), (*turned.shape, 3))], -1) * weight
-
-
-def skew(v: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
-    """Matrices of the cross product with vectors."""
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def pieces(pairs: Int[np.ndarray, "k 2"], number: int) -> Int[np.ndarray, " n"]:

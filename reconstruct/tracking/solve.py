@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import bsr_matrix, csc_matrix
+from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from devrf.reconstruct.tracking.graph import Graph, Pose, skew
+from devrf.reconstruct.tracking.graph import Graph, Pose
+from devrf.reconstruct.tracking.normal_equations import of_edges, of_points, skew
 
 RIGID = 1e3  # weight of edges that stretch or bend, per squared relative length
 TEARS = 0.3  # relative stretch at which an edge counts half: what only touches at rest parts, and skin at a joint holds
@@ -26,9 +27,11 @@ class Pulls(NamedTuple):
 
 def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     """The pose after one step."""
-    terms = [_data(graph, pose, pulls), _rigid(graph, pose), _expected(pose, expected)]
-    A = csc_matrix(sum(csc_matrix(J.T @ J) for J, _ in terms))
-    b = np.sum([J.T @ residual for J, residual in terms], axis=0)
+    blocks, b = of_points(graph.blocks, pose.rotations, graph.followed, graph.offsets, graph.weights, *pulls)
+    for more, right in (_rigid(graph, pose), _expected(graph, pose, expected)):
+        blocks += more
+        b += right
+    A = graph.blocks.matrix(blocks)
     if not np.array_equal(graph.parts, np.arange(len(graph.nodes))):  # else each node moves by itself
         by_parts = graph.by_parts(pose)
         A, b = csc_matrix(by_parts.T @ A @ by_parts), by_parts.T @ b
@@ -47,23 +50,14 @@ def _shortened(move: Float[np.ndarray, "m 6"], piece: Int[np.ndarray, " m"]) -> 
     return move / too_far[piece, None]
 
 
-Term = tuple[bsr_matrix, np.ndarray]
-"""Residuals [r], and their derivative by small rotations and shifts of the nodes [r, 6 n]."""
-
-
-def _data(graph: Graph, pose: Pose, pulls: Pulls) -> Term:
-    """The points' quadratics: three residuals a point, by the root of its Hessian."""
-    trace = np.trace(pulls.hessian, axis1=1, axis2=2)
-    points = np.flatnonzero(trace > 1e-6)
-    root = np.linalg.cholesky(pulls.hessian[points] + np.eye(3) * (1e-6 * trace[points, None, None] + 1e-9))
-    residual = np.linalg.solve(root, pulls.gradient[points][..., None])[..., 0]
-    by_node = root.mT[:, None] @ graph.derivative(pose, points)
-    return _term(by_node, graph.followed[points], len(graph.nodes), residual)
+Term = tuple[np.ndarray, np.ndarray]
+"""What is added to the blocks of the matrix, and to the right side."""
 
 
 def _rigid(graph: Graph, pose: Pose) -> Term:
     """Edges between parts as they were at rest, turned with their first node."""
-    edges = graph.edges[np.diff(graph.parts[graph.edges]).any(1)]
+    kept = np.diff(graph.parts[graph.edges]).any(1)
+    edges = graph.edges[kept]
     a, b = edges.T
     edge = graph.nodes[b] - graph.nodes[a]
     turned = np.einsum("eij,ej->ei", pose.rotations[a], edge)
@@ -74,25 +68,12 @@ def _rigid(graph: Graph, pose: Pose) -> Term:
     by_node = np.zeros((len(edges), 2, 3, 6))
     by_node[:, 0, :, :3] = -skew(turned)
     by_node[:, 0, :, 3:], by_node[:, 1, :, 3:] = np.eye(3), -np.eye(3)
-    return _term(by_node * root[:, None, None], edges, len(graph.nodes), residual * root)
+    return of_edges(graph.blocks, graph.edges, kept, by_node * root[:, None, None], residual * root)
 
 
-def _expected(pose: Pose, expected: Pose) -> Term:
+def _expected(graph: Graph, pose: Pose, expected: Pose) -> Term:
     """Nodes near where they were expected."""
     turn = Rotation.from_matrix(pose.rotations @ expected.rotations.transpose(0, 2, 1)).as_rotvec()
-    residual, root = np.concatenate([turn, pose.shifts - expected.shifts], axis=1), np.sqrt(EXPECTED)
-    nodes = np.arange(len(residual))
-    by_node = np.broadcast_to(root * np.eye(6), (len(nodes), 1, 6, 6))
-    return _term(by_node, nodes[:, None], len(nodes), residual * root)
-
-
-def _term(
-    by_node: Float[np.ndarray, "m k s 6"],
-    node: Int[np.ndarray, "m k"],
-    nodes: int,
-    residual: Float[np.ndarray, "m s"],
-) -> Term:
-    """Of m groups of residuals, each of which depends on k nodes."""
-    m, k, size, _ = by_node.shape
-    blocks = (by_node.reshape(-1, size, 6), node.ravel(), np.arange(0, m * k + 1, k))
-    return bsr_matrix(blocks, shape=(size * m, 6 * nodes)), residual.ravel()
+    blocks = np.zeros((len(graph.blocks.pair), 6, 6))
+    blocks[graph.blocks.of_node] = EXPECTED * np.eye(6)
+    return blocks, EXPECTED * np.concatenate([turn, pose.shifts - expected.shifts], axis=1).ravel()
