@@ -65,9 +65,8 @@ class Placed(NamedTuple):
         return inverses @ self.rotations.mT
 
     def turned(self, frame: Int[Tensor, " R"]) -> Turned:
-        """How rays of these pictures are taken back to rest; without gradients."""
-        placed = Placed(*(None if x is None else x.detach() for x in self))
-        return Turned(placed.back, placed.forth, placed.shifts, frame)
+        """How rays of these pictures are taken back to rest."""
+        return Turned(self.back.detach(), self.forth.detach(), self.shifts.detach(), frame)
 
 
 class Layered(NamedTuple):

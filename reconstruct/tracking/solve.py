@@ -56,7 +56,7 @@ Term = tuple[np.ndarray, np.ndarray]
 
 def _rigid(graph: Graph, pose: Pose) -> Term:
     """Edges between parts as they were at rest, turned with their first node."""
-    kept = np.diff(graph.parts[graph.edges]).any(1)
+    kept = np.asarray(np.diff(graph.parts[graph.edges]).any(1))
     edges = graph.edges[kept]
     a, b = edges.T
     edge = graph.nodes[b] - graph.nodes[a]

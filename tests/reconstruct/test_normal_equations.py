@@ -25,7 +25,7 @@ def test_points_pull_their_nodes_as_the_product_of_derivatives_says(
     monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator, warp: bool
 ) -> None:
     monkeypatch.setattr(module, "use_warp", lambda device: warp)
-    followed, rotations = followed_by(rng), Rotation.random(NODES, random_state=1).as_matrix()
+    followed, rotations = followed_by(rng), Rotation.from_rotvec(rng.normal(size=(NODES, 3))).as_matrix()
     offsets, weights = rng.normal(size=(POINTS, FOLLOWED, 3)), rng.random((POINTS, FOLLOWED))
     slopes, gradient = rng.normal(size=(POINTS, 2, 3)), rng.normal(size=(POINTS, 3))
     hessian = slopes.swapaxes(1, 2) @ slopes
