@@ -28,7 +28,7 @@ from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, look_up
 from devrf.reconstruct.rays import intersect
 
 FARTHEST = 1e4  # box units: farther than any sample
-MOST = 128  # samples of a ray that are kept, the nearest: an opaque surface takes about five
+MOST = 256  # samples of a ray that are kept, the nearest: an opaque surface takes about five, rays along one up to 120
 LEAST_SPEED = wp.constant(1e-9)  # components of a direction below this are held to it
 vec5 = wp.types.vector(length=5, dtype=wp.float32)
 
