@@ -17,6 +17,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
+from devrf.reconstruct.flat_adam import FlatAdam
 from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.left_out import LeftOut
@@ -33,7 +34,7 @@ from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision, levels_for
 from devrf.reconstruct.surroundings import PixelSurroundings
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import FlatAdam, grids_state, net_state, take_up_grids, take_up_net
+from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 
 PAYS_DB = 0.1  # a smaller gain, be it no chance, is not worth another model at rest
 LR = 0.03  # initial, of the grids; a tenth of training's: the scene at rest is nearly right; falls by 10

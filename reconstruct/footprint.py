@@ -31,7 +31,9 @@ VERTEX, VERTEX_STAYS = 37, 9  # per vertex beside: while occupancy is rebuilt, a
 SHELL_VERTEX, SHELL_VERTEX_STAYS = 120, 89
 SHELL_VALUES = 4  # density and colour
 SHELL_SAMPLE = 20  # distance, raw density and colour, until the backward pass
-SHELL_SAMPLES = 2.5  # of a ray at most, per vertex of a side (kernels/background.py: most_samples)
+# Of a ray, per vertex of a side: memory of the CPU that no sample is written to is never touched (measured); on a GPU
+# both tables, before the box and behind it, are there whole (kernels/background.py: most_samples, at the largest reach)
+SHELL_SAMPLES, SHELL_SAMPLES_ON_GPU = 2.5, 7.5
 COARSE_VERTEX = 145  # of the first model of everything: its share of opaque space is handed on beside
 SAMPLE = 440  # per sample in the box, until the backward pass
 SAMPLE_PER_UNIT = 15  # and per hidden unit, where the MLP is asked per sample
@@ -153,7 +155,7 @@ def footprints(
     def of(options: CanonicalOptions | MotionOptions) -> Footprint:
         libraries = max(IMPORTED, held) + AT_WORK
         if isinstance(options, CanonicalOptions):
-            kept, trained = {}, _at_rest(size, adapted(options))
+            kept, trained = {}, _at_rest(size, adapted(options), on_gpu=device != "cpu")
         else:
             kept, trained = _in_motion(size, options, on_gpu=device != "cpu")
         main = {"libraries": libraries} | kept
@@ -166,7 +168,7 @@ def footprints(
     return of
 
 
-def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
+def _at_rest(size: SceneSize, o: CanonicalOptions, on_gpu: bool) -> Parts:
     """What is trained, or trained on."""
     box, around = o.resolution**3, 0 if size.plain else o.shell_resolution**3
     trained, shell_good = (TRAINED + GOOD) * (1 + o.channels), GOOD * SHELL_VALUES
@@ -175,7 +177,8 @@ def _at_rest(size: SceneSize, o: CanonicalOptions) -> Parts:
     if not size.plain or o.box_search == "coarse":
         first = o.coarse_size**3 * COARSE_VERTEX + models / 2 ** len(o.scale_at)
     per_sample = SAMPLE + (0 if o.deferred else SAMPLE_PER_UNIT * o.mlp_width)
-    per_ray = 0.0 if size.plain else SHELL_SAMPLE * SHELL_SAMPLES * o.shell_resolution
+    of_ray = SHELL_SAMPLES_ON_GPU if on_gpu else SHELL_SAMPLES
+    per_ray = 0.0 if size.plain else SHELL_SAMPLE * of_ray * o.shell_resolution
     common: Parts = {"pictures": _picture_bytes(size, size.still_pixels, size.still_lenses)}
     beginning = common | {"plates": min(MOST_BYTES, PIXEL * size.largest_clip) * (not size.plain)}
     if not size.plain:  # of fixed cameras, each with a lens of its own

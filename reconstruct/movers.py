@@ -21,7 +21,7 @@ from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.grids import grown, vertices
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
 from devrf.reconstruct.kernels.launch import use_warp
-from devrf.reconstruct.kernels.layers import Light, Packed, Turned, draw_layers, march_layers
+from devrf.reconstruct.kernels.layers import Packed, Turned, draw_layers, march_layers
 from devrf.reconstruct.kernels.march import Volume
 from devrf.reconstruct.kernels.occupancy import REACH, distance
 from devrf.reconstruct.motion import MotionField
@@ -404,7 +404,7 @@ def draw_layered(
     jitter: Float[Tensor, " R"],
     counts_from: float = COUNTS,
 ) -> Seen:
-    """The same for pictures, without gradients: in one launch where colours are found once a ray."""
+    """The same for pictures, without gradients; where colours are found once a ray, in two launches and an MLP."""
     if not stands.deferred or not use_warp(rays_o.device):
         seen = render_layered(
             stands, movers, placed, frame, rays_o, rays_d, near, jitter, counts_from=counts_from
@@ -413,16 +413,11 @@ def draw_layered(
     own, shading = movers.canonical, movers.shading
     drawn = draw_layers(
         stands.volume(), movers.packed(), placed.turned(frame), stands.features,
-        (own.density, own.features), None if shading is None else Light(*shading.moments(placed.times)),
+        (own.density, own.features), None if shading is None else shading.light(placed.times),
         rays_o, rays_d, near, jitter, counts_from,
     )  # fmt: skip
     hit = (drawn.opacity > 0).nonzero()[:, 0]
-    opacity = drawn.opacity[hit, None]
-    seen_by = opacity.clamp_min(FAINT)
-    colours = stands.net(
-        drawn.features[hit] / seen_by, rays_d[hit], torch.arange(len(hit), device=hit.device)
-    )
-    colours = opacity * colours * torch.exp(drawn.light[hit, None] / seen_by)
+    colours = _by_mean(stands, *(x[hit] for x in (drawn.features, drawn.light, drawn.opacity, rays_d)))
     return Seen(torch.zeros_like(rays_d).index_copy(0, hit, colours), drawn.left, drawn.depth)
 
 
@@ -434,10 +429,13 @@ def _deferred(
     ones = torch.ones_like(weights)[:, None]
     light = torch.zeros_like(ones) if light is None else light[:, None]
     sums = accumulate(weights, torch.cat([features, light, ones], dim=1), ray_id, rays)
-    opacity = sums[:, -1:]
-    mean = sums[:, :-1] / opacity.clamp_min(FAINT)
-    every = torch.arange(rays, device=rays_d.device)
-    return opacity * stands.net(mean[:, :-1], rays_d, every) * torch.exp(mean[:, -1:])
+    return _by_mean(stands, sums[:, :-2], sums[:, -2], sums[:, -1], rays_d)
+
+
+def _by_mean(stands: Canonical, features: Tensor, light: Tensor, opacity: Tensor, rays_d: Tensor) -> Tensor:
+    """Colours of rays by sums over their samples: weighted features and light, and weights."""
+    seen, every = opacity.clamp_min(FAINT)[:, None], torch.arange(len(rays_d), device=rays_d.device)
+    return opacity[:, None] * stands.net(features / seen, rays_d, every) * torch.exp(light[:, None] / seen)
 
 
 def _taken_back(

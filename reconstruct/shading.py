@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from devrf.reconstruct.kernels.layers import Light
+
 LONGEST, LEAST = 33, 4  # cells along the longest side; along the shortest
 KEYS = 14  # moments, of motion that is no longer than the numbers of training are meant for
 EVEN, SMALL = 2.0, 0.1  # weights of squared differences of neighbours and of squared values
@@ -52,8 +54,7 @@ class Shading(torch.nn.Module):
     ) -> Float[Tensor, " S"]:
         """Logarithms of the factor at points of a layer (0 stands, 1 moves), linear in place and time."""
         lo, hi = self._box.to(x)
-        span = max(self.t_last - self.t_first, 1e-9)
-        unit = torch.cat([((time - self.t_first) / span)[:, None], (x - lo) / (hi - lo)], dim=1)
+        unit = torch.cat([self._share(time)[:, None], (x - lo) / (hi - lo)], dim=1)
         at = unit.clamp(0, 1) * self._last
         first = torch.minimum(at.floor().long(), self._last - 1)
         ends = torch.stack([1 - (at - first), at - first], dim=1)
@@ -64,13 +65,13 @@ class Shading(torch.nn.Module):
         corners = self.grid.reshape(-1).gather(0, (base[:, None] + self._corners).reshape(-1))
         return (weights * corners.reshape(-1, 16)).sum(1)
 
-    def moments(
-        self, times: Float[Tensor, " F"]
-    ) -> tuple[Float[Tensor, "2 T X Y Z"], Float[Tensor, "2 3"], Float[Tensor, " F"]]:
-        """The grid, its box, and times as numbers of its moments."""
-        span = max(self.t_last - self.t_first, 1e-9)
-        unit = ((times - self.t_first) / span).clamp(0, 1)
-        return self.grid.detach(), self.aabb, unit.to(self.grid.device) * (self.grid.shape[1] - 1)
+    def light(self, times: Float[Tensor, " F"]) -> Light:
+        """The same for pictures, without gradients."""
+        return Light(self.grid.detach(), self.aabb, self._share(times).clamp(0, 1) * (self.grid.shape[1] - 1))
+
+    def _share(self, time: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+        """How much of its span is behind."""
+        return (time - self.t_first) / max(self.t_last - self.t_first, 1e-9)
 
     def penalty(self) -> Float[Tensor, ""]:
         """What keeps it smooth and near to no change."""

@@ -15,6 +15,7 @@ from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
+from devrf.reconstruct.flat_adam import FlatAdam
 from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.kernels.adam import add_total_variation, add_touched_variation
@@ -41,7 +42,7 @@ from devrf.reconstruct.sizing import fewer_voxels
 from devrf.reconstruct.subject_box import subject_box
 from devrf.reconstruct.train_coarse import SEEN_BATCHES, hand_on, train_coarse, visible
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import FlatAdam, grids_state, net_state, take_up_grids, take_up_net
+from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 from devrf.reconstruct.watch import Watch
 
 LOG_EVERY = 25

@@ -21,6 +21,7 @@ from devrf.reconstruct.as_trained import retimed
 from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
 from devrf.reconstruct.corrections import Corrections
+from devrf.reconstruct.flat_adam import FlatAdam
 from devrf.reconstruct.grids import GridTrainer, grown
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.left_out import LeftOut
@@ -37,7 +38,7 @@ from devrf.reconstruct.render import Seen
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
 from devrf.reconstruct.training_log import TrainingLog
-from devrf.reconstruct.training_state import FlatAdam, grids_state, net_state, take_up_grids, take_up_net
+from devrf.reconstruct.training_state import grids_state, net_state, take_up_grids, take_up_net
 
 PICTURES = 16  # of which an iteration's rays are
 LR_FEATURES, LR_DENSITY, LR_NET, LR_SHADING = 0.1, 0.15, 3e-4, 0.03  # initial; all fall by 10

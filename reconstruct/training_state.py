@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from devrf.reconstruct.grids import BETAS, EPS, GridTrainer
-from devrf.reconstruct.kernels.adam import dense_step
+from devrf.reconstruct.flat_adam import FlatAdam
+from devrf.reconstruct.grids import GridTrainer
 
 
 def grids_state(grids: Mapping[str, GridTrainer]) -> dict[str, Tensor]:
@@ -22,37 +22,6 @@ def take_up_grids(grids: Mapping[str, GridTrainer], tensors: dict[str, Tensor]) 
     for name, grid in grids.items():
         grid.values.copy_(tensors[name])
         grid.take_up(_part_of(tensors, f"{name} trainer"))
-
-
-class FlatAdam:
-    """Adam's step on all parameters of a module at once: they become views of one vector, as their gradients do.
-
-    `torch.optim` takes two seconds to import and several launches a parameter.
-    """
-
-    def __init__(self, module: nn.Module) -> None:
-        self.module = module
-        parameters = list(module.parameters())
-        sizes = [p.numel() for p in parameters]
-        device = parameters[0].device if parameters else None
-        self.values, self.grad, self.moment1, self.moment2 = torch.zeros(4, sum(sizes), device=device)
-        self.steps = 0
-        views = zip(parameters, self.values.split(sizes), self.grad.split(sizes), strict=True)
-        for parameter, values, grad in views if sizes else ():
-            values.copy_(parameter.detach().reshape(-1))
-            parameter.data, parameter.grad = values.view(parameter.shape), grad.view(parameter.shape)
-
-    @torch.no_grad()
-    def step(self, lr: float) -> None:
-        """One step with the gradient that has gathered, which is cleared."""
-        self.steps += 1
-        dense_step(self.values, self.grad, self.moment1, self.moment2, self.steps, lr, BETAS, EPS)
-
-    def forget(self) -> None:
-        """Fresh moments."""
-        self.steps = 0
-        for vector in (self.grad, self.moment1, self.moment2):
-            vector.zero_()
 
 
 def net_state(adam: FlatAdam, of: str = "") -> dict[str, Tensor]:

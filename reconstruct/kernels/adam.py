@@ -101,9 +101,14 @@ def add_touched_variation(
     channels, copies = values.shape[3], grad.shape[0]
     weights = (weights / 6.0).to(values)
     if use_warp(values.device):
-        vec, kernel = _touched_variation(channels)
-        arguments = [array(values, vec), array(grad.view(copies, -1, channels), vec), array(vertices)]
-        launch(kernel, len(vertices), [*arguments, vec(*weights.tolist()), clamp], values.device)
+        arguments = [
+            array(values),
+            array(grad.view(copies, -1, channels)),
+            array(vertices),
+            array(weights),
+            clamp,
+        ]
+        launch(_touched_variation, len(vertices), arguments, values.device)
         return
     variation = torch.zeros_like(values)
     add_total_variation(values, variation, 6.0, clamp)
@@ -222,46 +227,24 @@ def _variation(
     grad[i, j, k, c] = grad[i, j, k, c] + weight * _apart(values, i, j, k, c, most)
 
 
-@functools.cache
-def _touched_variation(channels: int) -> Any:
-    vec = wp.types.vector(length=channels, dtype=wp.float32)
-
-    @wp.func
-    @no_type_check
-    def held(x: vec, most: float) -> vec:
-        return wp.max(wp.min(x, vec(most)), vec(-most))
-
-    @wp.kernel(enable_backward=False, module="unique")
-    @no_type_check
-    def touched_variation(
-        first: int,
-        values: wp.array3d(dtype=vec),
-        grad: wp.array2d(dtype=vec),
-        vertices: wp.array(dtype=wp.int64),
-        weights: vec,
-        most: float,
-    ):
-        v = int(vertices[first + wp.tid()])
-        touched = vec()
+@wp.kernel(enable_backward=False)
+@no_type_check
+def _touched_variation(
+    first: int,
+    values: wp.array4d(dtype=float),
+    grad: wp.array3d(dtype=float),
+    vertices: wp.array(dtype=wp.int64),
+    weights: wp.array(dtype=float),
+    most: float,
+):
+    v = int(vertices[first + wp.tid()])
+    k = v % values.shape[2]
+    j = (v // values.shape[2]) % values.shape[1]
+    i = v // (values.shape[1] * values.shape[2])
+    for c in range(values.shape[3]):
+        touched = int(0)
         for p in range(grad.shape[0]):
-            touched = wp.max(touched, wp.max(grad[p, v], -grad[p, v]))
-        if wp.max(touched) == 0.0:
-            return
-        k = v % values.shape[2]
-        j = (v // values.shape[2]) % values.shape[1]
-        i = v // (values.shape[1] * values.shape[2])
-        here = values[i, j, k]
-        # a neighbour outside of the grid is the vertex itself: no difference
-        apart = held(here - values[wp.max(i - 1, 0), j, k], most)
-        apart += held(here - values[wp.min(i + 1, values.shape[0] - 1), j, k], most)
-        apart += held(here - values[i, wp.max(j - 1, 0), k], most)
-        apart += held(here - values[i, wp.min(j + 1, values.shape[1] - 1), k], most)
-        apart += held(here - values[i, j, wp.max(k - 1, 0)], most)
-        apart += held(here - values[i, j, wp.min(k + 1, values.shape[2] - 1)], most)
-        g = grad[0, v]
-        for c in range(channels):
-            if touched[c] != 0.0:
-                g[c] = g[c] + weights[c] * apart[c]
-        grad[0, v] = g
-
-    return vec, touched_variation
+            if grad[p, v, c] != 0.0:
+                touched = 1
+        if touched == 1:
+            grad[0, v, c] = grad[0, v, c] + weights[c] * _apart(values, i, j, k, c, most)

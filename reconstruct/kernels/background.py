@@ -166,7 +166,11 @@ class _Background(torch.autograd.Function):
         kept: int,
     ) -> tuple[Tensor, Tensor, Tensor]:
         n, device = len(rays.t_in), grid.device
-        shared = _arguments(rays, surroundings, closed, target, has_target)
+        shared = [
+            *_arguments(rays, surroundings, closed, target, has_target),
+            *(array(rays.t_out), array(rays.jitter), array(surroundings.distance)),
+            *(surroundings.shift, surroundings.step, surroundings.alpha_threshold),
+        ]
         rgb, left, per_point = (torch.empty(n, *shape, device=device) for shape in ((3,), (), ()))
         # Sample by sample: what lies behind the last one of any ray is never touched.
         ts, raws = torch.empty(kept, n + ODD, device=device), torch.empty(kept, n + ODD, 4, device=device)
@@ -200,15 +204,18 @@ class _Background(torch.autograd.Function):
 def _arguments(
     rays: RaySegments, surroundings: Surroundings, closed: bool, target: Tensor, has_target: bool
 ) -> list[Any]:
+    """Of both passes."""
     lo, hi = surroundings.aabb.tolist()
     centre = [(a + b) / 2 for a, b in zip(lo, hi, strict=True)]
     per_half = [2 / (b - a) for a, b in zip(lo, hi, strict=True)]
     return [
-        *(array(rays.rays_o.contiguous(), wp.vec3), array(rays.rays_d.contiguous(), wp.vec3)),
-        *(array(rays.t_in), array(rays.t_out), array(rays.jitter)),
-        *(array(surroundings.grid, vec4), array(surroundings.distance), wp.vec3(*centre), wp.vec3(*per_half)),
-        *(surroundings.shift, surroundings.interval, surroundings.step, surroundings.alpha_threshold),
-        surroundings.reach,
+        *(
+            array(rays.rays_o.contiguous(), wp.vec3),
+            array(rays.rays_d.contiguous(), wp.vec3),
+            array(rays.t_in),
+        ),
+        *(array(surroundings.grid, vec4), wp.vec3(*centre), wp.vec3(*per_half)),
+        *(surroundings.interval, surroundings.reach),
         *(int(closed), array(target.contiguous(), wp.vec3), int(has_target)),
     ]
 
@@ -279,20 +286,20 @@ def _forward(
     rays_o: wp.array(dtype=wp.vec3),
     rays_d: wp.array(dtype=wp.vec3),
     t_in: wp.array(dtype=float),
-    t_out: wp.array(dtype=float),
-    jitter: wp.array(dtype=float),
     grid: wp.array3d(dtype=vec4),
-    distance: wp.array3d(dtype=wp.uint8),
     centre: wp.vec3,
     per_half: wp.vec3,
-    shift: float,
     interval: float,
-    step: float,
-    alpha_threshold: float,
     reach: float,
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
+    t_out: wp.array(dtype=float),
+    jitter: wp.array(dtype=float),
+    distance: wp.array3d(dtype=wp.uint8),
+    shift: float,
+    step: float,
+    alpha_threshold: float,
     ts: wp.array2d(dtype=float),
     raws: wp.array2d(dtype=vec4),
     counts: wp.array(dtype=wp.int32),
@@ -363,16 +370,10 @@ def _backward(
     rays_o: wp.array(dtype=wp.vec3),
     rays_d: wp.array(dtype=wp.vec3),
     t_in: wp.array(dtype=float),
-    t_out: wp.array(dtype=float),
-    jitter: wp.array(dtype=float),
     grid: wp.array3d(dtype=vec4),
-    distance: wp.array3d(dtype=wp.uint8),
     centre: wp.vec3,
     per_half: wp.vec3,
-    shift: float,
     interval: float,
-    step: float,
-    alpha_threshold: float,
     reach: float,
     closed: int,
     target: wp.array(dtype=wp.vec3),

@@ -255,7 +255,7 @@ def draw_layers(
         sizes = wp.vec4(float(moments), *map(float, shape))
         shown = [
             *(array(light.grid.reshape(-1)), sizes, wp.vec3(*lo), wp.vec3(*scale)),
-            array(light.moment.to(rays_o)),
+            array(light.moment),
         ]
     out = Drawn(rays_o.new_empty(R, channels), *rays_o.new_empty(4, R))
     marched = _marched(stands, parts, turned, rays_o, rays_d, near, jitter)

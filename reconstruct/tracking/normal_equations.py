@@ -5,7 +5,7 @@ an edge joins. Which there are is known beforehand, so each block is one sum, al
 """
 
 from dataclasses import dataclass
-from typing import Any, no_type_check
+from typing import no_type_check
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ import warp as wp
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csc_matrix, csr_matrix
 
-from devrf.reconstruct.kernels.launch import launch, use_warp
+from devrf.reconstruct.kernels.launch import array, launch, use_warp
 
 CPU = torch.device("cpu")
 
@@ -85,7 +85,7 @@ def skew(v: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def of_points(
+def point_terms(
     blocks: Blocks,
     rotations: Float[np.ndarray, "n 3 3"],
     followed: Int[np.ndarray, "p k"],
@@ -111,8 +111,9 @@ def of_points(
     if use_warp(CPU):
         shared = (turned, weights, hessian, blocks.first, blocks.point, blocks.slot)
         kinds = (wp.vec3d, wp.float64, wp.mat33d, wp.int64, wp.int64, wp.vec2l)
-        arguments = [_array(x, kind) for x, kind in zip(shared, kinds, strict=True)]
-        launch(_summed, len(out), [*arguments, _array(out, wp.float64)], CPU)
+        tensors = (torch.from_numpy(np.ascontiguousarray(x)) for x in shared)
+        arguments = [array(x, kind) for x, kind in zip(tensors, kinds, strict=True)]
+        launch(_summed, len(out), [*arguments, array(torch.from_numpy(out))], CPU)
         return out, right
     lever = np.concatenate([skew(turned), np.broadcast_to(np.eye(3), (*turned.shape, 3))], -2)
     lever = lever * weights[..., None, None]  # [p, k, 6, 3]
@@ -123,7 +124,7 @@ def of_points(
     return out, right
 
 
-def of_edges(
+def edge_terms(
     blocks: Blocks,
     edges: Int[np.ndarray, "e 2"],
     kept: Bool[np.ndarray, " e"],
@@ -152,10 +153,6 @@ def of_edges(
     nodes, number = np.concatenate([first, second]), len(blocks.of_node)
     right = np.stack([np.bincount(nodes, column, number) for column in of_nodes.T], -1).ravel().astype(float)
     return (summed @ values).reshape(-1, 6, 6), right
-
-
-def _array(values: np.ndarray, kind: Any) -> Any:
-    return wp.array(np.ascontiguousarray(values), dtype=kind, device="cpu", copy=False)
 
 
 @wp.kernel(enable_backward=False)

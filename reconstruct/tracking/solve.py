@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.normal_equations import of_edges, of_points, skew
+from devrf.reconstruct.tracking.normal_equations import edge_terms, point_terms, skew
 
 RIGID = 1e3  # weight of edges that stretch or bend, per squared relative length
 TEARS = 0.3  # relative stretch at which an edge counts half: what only touches at rest parts, and skin at a joint holds
@@ -27,10 +27,13 @@ class Pulls(NamedTuple):
 
 def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     """The pose after one step."""
-    blocks, b = of_points(graph.blocks, pose.rotations, graph.followed, graph.offsets, graph.weights, *pulls)
-    for more, right in (_rigid(graph, pose), _expected(graph, pose, expected)):
-        blocks += more
-        b += right
+    blocks, b = point_terms(
+        graph.blocks, pose.rotations, graph.followed, graph.offsets, graph.weights, *pulls
+    )
+    of_edges, of_nodes = _rigid(graph, pose)
+    blocks += of_edges
+    b += of_nodes + EXPECTED * _away(pose, expected)
+    blocks[graph.blocks.of_node] += EXPECTED * np.eye(6)
     A = graph.blocks.matrix(blocks)
     if not np.array_equal(graph.parts, np.arange(len(graph.nodes))):  # else each node moves by itself
         by_parts = graph.by_parts(pose)
@@ -50,12 +53,8 @@ def _shortened(move: Float[np.ndarray, "m 6"], piece: Int[np.ndarray, " m"]) -> 
     return move / too_far[piece, None]
 
 
-Term = tuple[np.ndarray, np.ndarray]
-"""What is added to the blocks of the matrix, and to the right side."""
-
-
-def _rigid(graph: Graph, pose: Pose) -> Term:
-    """Edges between parts as they were at rest, turned with their first node."""
+def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """Edges between parts as they were at rest, turned with their first node: blocks and right side."""
     kept = np.asarray(np.diff(graph.parts[graph.edges]).any(1))
     edges = graph.edges[kept]
     a, b = edges.T
@@ -68,12 +67,10 @@ def _rigid(graph: Graph, pose: Pose) -> Term:
     by_node = np.zeros((len(edges), 2, 3, 6))
     by_node[:, 0, :, :3] = -skew(turned)
     by_node[:, 0, :, 3:], by_node[:, 1, :, 3:] = np.eye(3), -np.eye(3)
-    return of_edges(graph.blocks, graph.edges, kept, by_node * root[:, None, None], residual * root)
+    return edge_terms(graph.blocks, graph.edges, kept, by_node * root[:, None, None], residual * root)
 
 
-def _expected(graph: Graph, pose: Pose, expected: Pose) -> Term:
-    """Nodes near where they were expected."""
+def _away(pose: Pose, expected: Pose) -> Float[np.ndarray, " six_n"]:
+    """Turns and shifts of nodes from where they were expected."""
     turn = Rotation.from_matrix(pose.rotations @ expected.rotations.transpose(0, 2, 1)).as_rotvec()
-    blocks = np.zeros((len(graph.blocks.pair), 6, 6))
-    blocks[graph.blocks.of_node] = EXPECTED * np.eye(6)
-    return blocks, EXPECTED * np.concatenate([turn, pose.shifts - expected.shifts], axis=1).ravel()
+    return np.concatenate([turn, pose.shifts - expected.shifts], axis=1).ravel()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from devrf.reconstruct.flat_adam import FlatAdam
 from devrf.reconstruct.kernels import adam
 from devrf.reconstruct.kernels import background as around
 from devrf.reconstruct.kernels.adam import add_total_variation, add_touched_variation, dense_step, masked_step
@@ -24,7 +25,7 @@ from devrf.reconstruct.kernels.occupancy import (
 )
 from devrf.reconstruct.kernels.quad import quad, quad_ref
 from devrf.reconstruct.kernels.trilinear import trilinear, trilinear_ref
-from devrf.reconstruct.training_state import FlatAdam, net_state, take_up_net
+from devrf.reconstruct.training_state import net_state, take_up_net
 
 AABB = torch.tensor([[-1.0, -0.5, -0.8], [1.0, 0.7, 0.9]])
 # sums of eight products of order one, multiplied by up to ten vertices per unit
@@ -231,6 +232,31 @@ def test_background_matches_reference(closed: bool, share: float, reach: float) 
         torch.autograd.backward(again, cotangent)
         assert (buffer != 0).flatten(1).any(1).all()
         torch.testing.assert_close(buffer.sum(0), ours)
+
+
+@pytest.mark.parametrize("reach", [6.0, 24.0])
+@pytest.mark.parametrize("size", [9, 40])
+def test_training_keeps_every_sample_of_rays_that_begin_in_the_cube(reach: float, size: int) -> None:
+    """Everywhere something thin: as many samples count as there can be, and pictures without gradients are the same."""
+    g, step = torch.Generator().manual_seed(1), 4 / (size - 1)
+    grid = torch.full((size, size, size, 4), -9.0)
+    everywhere = torch.zeros(size, size, size, dtype=torch.uint8)
+    surroundings = Surroundings(grid.requires_grad_(), everywhere, AABB, 0.0, 1.0, step, 0.0, reach)
+    lo, hi = AABB
+    corner = (torch.randint(0, 2, (200, 3), generator=g) * 2 - 1) * (reach - 0.01)
+    through = torch.rand(200, 3, generator=g) * 0.2 - 0.1
+    o, towards = ((u * (hi - lo) + lo + hi) / 2 for u in (corner, through))
+    nothing = torch.zeros(200)
+    rays = RaySegments(
+        o, torch.nn.functional.normalize(towards - o), nothing, nothing, torch.rand(200, generator=g)
+    )
+    kept = background(rays, surroundings, True)
+    with torch.no_grad():
+        plain = background(rays, surroundings, True)
+    for a, b in zip(kept, plain, strict=True):
+        assert torch.equal(a, b)
+    (ts, _, counts) = kept[0].grad_fn.rest[-1]  # type: ignore[union-attr]
+    assert 0.5 * len(ts) < int(counts.max()) < len(ts)
 
 
 def test_background_learns_without_warp(monkeypatch: pytest.MonkeyPatch) -> None:

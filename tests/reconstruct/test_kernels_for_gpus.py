@@ -2,7 +2,8 @@
 
 import re
 import subprocess
-from importlib.metadata import PackageNotFoundError, files
+import sys
+from importlib.metadata import files
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +36,6 @@ def modules() -> dict[str, Any]:
     for n in CHANNELS:
         _, forward, backward = trilinear._kernels(n)
         made = {"forward": forward, "backward": backward, "masked": adam._masked(n)[1]}
-        if n == 4:
-            made["touched"] = adam._touched_variation(n)[1]
         if n in (3, 12):
             made["composed"] = layers._composed(n)[1]
         found |= {f"{name}_{n}": kernel.module for name, kernel in made.items()}
@@ -44,11 +43,9 @@ def modules() -> dict[str, Any]:
 
 
 @pytest.mark.full
+@pytest.mark.skipif(sys.platform != "linux", reason="the project asks for cuobjdump on Linux alone")
 def test_no_kernel_spills_on_a_gpu(tmp_path: Path) -> None:
-    try:
-        listed = files("nvidia-cuda-cuobjdump") or []
-    except PackageNotFoundError:
-        pytest.skip("nvidia-cuda-cuobjdump is not installed: there is none for this system")
+    listed = files("nvidia-cuda-cuobjdump") or []
     program = next(str(f.locate()) for f in listed if f.stem == "cuobjdump")
     seen, bad = 0, []
     for name, module in modules().items():

@@ -133,7 +133,7 @@ def test_a_refusal_says_what_is_short_and_what_can_help() -> None:
     """What is said to be needed has the tenth on top; pictures are named only where they take much."""
     options, small = preset("tiny").canonical, SceneSize(still_pixels=10**5)
     least = surely(footprint(small, resized_whole(replace(options, parts=16), COARSER**14)).main_bytes)
-    for limit in (int(0.5 * GB), int(0.99 * least), least - 1):
+    for limit in (int(0.97 * least), int(0.99 * least), least - 1):
         with refused("training-needs-memory", kind=ReconstructError) as caught:
             fitted(small, options, Limits(limit))
         said = str(caught.value)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import devrf.reconstruct.tracking.normal_equations as module
-from devrf.reconstruct.tracking.normal_equations import Blocks, of_edges, of_points, skew
+from devrf.reconstruct.tracking.normal_equations import Blocks, edge_terms, point_terms, skew
 
 NODES, POINTS, FOLLOWED = 7, 60, 3
 
@@ -30,7 +30,7 @@ def test_points_pull_their_nodes_as_the_product_of_derivatives_says(
     slopes, gradient = rng.normal(size=(POINTS, 2, 3)), rng.normal(size=(POINTS, 3))
     hessian = slopes.swapaxes(1, 2) @ slopes
     blocks = Blocks.of(followed, np.array([[0, 6], [6, 0]]), NODES)
-    found, right = of_points(blocks, rotations, followed, offsets, weights, hessian, gradient)
+    found, right = point_terms(blocks, rotations, followed, offsets, weights, hessian, gradient)
     A, b = np.zeros((6 * NODES, 6 * NODES)), np.zeros(6 * NODES)
     for p in range(POINTS):
         by_node = np.zeros((3, 6 * NODES))
@@ -50,12 +50,12 @@ def test_edges_hold_their_nodes_as_the_product_of_derivatives_says(rng: np.rando
     edges, kept = np.vstack([one_way, one_way[:, ::-1]]), np.array([1, 1, 1, 0, 1, 1, 1, 1], bool)
     by_node, residual = rng.normal(size=(kept.sum(), 2, 3, 6)), rng.normal(size=(kept.sum(), 3))
     blocks = Blocks.of(followed_by(rng), edges, NODES)
-    found, right = of_edges(blocks, edges, kept, by_node, residual)
+    found, right = edge_terms(blocks, edges, kept, by_node, residual)
     J = np.zeros((3 * kept.sum(), 6 * NODES))
     for n, (edge, both) in enumerate(zip(edges[kept], by_node, strict=True)):
         for node, of_node in zip(edge, both, strict=True):
             J[3 * n : 3 * n + 3, 6 * node : 6 * node + 6] = of_node
     np.testing.assert_allclose(blocks.matrix(found).toarray(), J.T @ J, atol=1e-9)
     np.testing.assert_allclose(right, J.T @ residual.ravel(), atol=1e-9)
-    nothing, zero = of_edges(blocks, edges, np.zeros(len(edges), bool), by_node[:0], residual[:0])
+    nothing, zero = edge_terms(blocks, edges, np.zeros(len(edges), bool), by_node[:0], residual[:0])
     assert not nothing.any() and not zero.any()
