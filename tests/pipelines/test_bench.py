@@ -126,7 +126,7 @@ def test_parts_are_left_out_one_by_one(devrf: Any, arm: Path, tmp_path: Path) ->
         "--preset",
         "tiny",
         "--parts",
-        "cycle,exact_times,rest_entropy,deferred",
+        "cycle,exact_times,rest_entropy,fine_tuning",
         "--seeds",
         "2",
         "--out",
@@ -136,9 +136,9 @@ def test_parts_are_left_out_one_by_one(devrf: Any, arm: Path, tmp_path: Path) ->
     content = json.loads((tmp_path / "parts.json").read_text())
     assert set(content["parts"]) == {"cycle", "rest_entropy"} and content["not_in_use"] == [
         "exact_times",
-        "deferred",
+        "fine_tuning",
     ]
-    assert "exact_times, deferred" in said and "rest_entropy" in said
+    assert "exact_times, fine_tuning" in said and "rest_entropy" in said
     rows = _rows(tmp_path / "parts.json")
     for name, folder in (("cycle", "seed{}/cycle"), ("rest_entropy", "rest_entropy/seed{}/motion")):
         whole, without = (

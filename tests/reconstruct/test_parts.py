@@ -59,7 +59,8 @@ def test_what_a_preset_lacks_is_not_in_use(ball, name: str) -> None:
     options = preset(name)
     used = {part.name for part in PARTS if part.in_use(ball.scene, options)}
     assert {"cycle", "flow", "variation", "entropy", "rest_entropy", "growing"} <= used
-    assert ("fine_tuning" in used) == ("deferred" in used) == (name == "fast")
+    assert ("fine_tuning" in used) == (name == "fast")
+    assert ("deferred" in used) == (name != "reference")
     assert ("importance" in used) == ("rest_rate" in used) == ("small_mlp" in used) == (name != "reference")
     assert ("one_camera" in used) == (name == "reference")
     assert not {"rest_variation", "exact_times"} & used
