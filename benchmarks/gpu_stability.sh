@@ -6,13 +6,13 @@
 #
 # SCENE is a scene.yaml (or its folder) with test cameras: a session that was rendered before, such as
 # bench-stability/session, where Mitsuba is not installed; axes that would render it again are then left out and named.
-# It is trained at the size of the small session (`SETTINGS` of bench/stability/session.py); --set changes that.
+# It is trained at the size of the small session (`SETTINGS` of lab/bench/stability/small_session.py); --set changes that.
 # Without SCENE that session is rendered first (extra `simulate`).
 set -euo pipefail
 MINUTES=${MINUTES:-23}
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 python=${PYTHON:-$([ -x .venv/bin/python ] && echo .venv/bin/python || echo python3)}
-"$python" -c 'import devrf.pipelines' 2>/dev/null \
+"$python" -c 'import devrf.lab' 2>/dev/null \
   || "$python" -m pip install --quiet --no-deps --no-build-isolation -e .
 scene=()
 if [ $# -gt 0 ] && [ "${1#-}" = "$1" ]; then

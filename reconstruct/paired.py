@@ -26,15 +26,9 @@ class Gain:
     half: float | None
     by_pair: tuple[float, ...]
 
-    def side(self, measures: int = 1) -> int:
-        """1 where the whole interval lies above 0, -1 where it lies below, else 0.
-
-        Args:
-            measures: How many are asked of which any may decide; each has its share of the doubt (Bonferroni), so that
-                with CONFIDENCE none is wrong.
-        """
-        half = self.half if measures == 1 else half_of_interval(self.by_pair, 1 - (1 - CONFIDENCE) / measures)
-        return 0 if half is None or abs(self.mean) <= half else (1 if self.mean > 0 else -1)
+    def side(self) -> int:
+        """1 where the whole interval lies above 0, -1 where it lies below, else 0."""
+        return 0 if self.half is None or abs(self.mean) <= self.half else (1 if self.mean > 0 else -1)
 
     @property
     def nothing(self) -> bool:

@@ -7,8 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from devrf.reconstruct.paired import Gain
-
 SIZE_INCHES, DPI = (7.0, 4.2), 130
 NAME_OFFSET = 3  # points, of a name from its mark
 WIDE = 6.0  # last over first, from which an axis has places for 1, 2 and 5
@@ -51,24 +49,6 @@ def lines(
         for x, v in found.items():
             axes.plot([x] * len(v), v, ".", color=line.get_color())
     axes.legend(fontsize=8)
-    return _saved(figure, path)
-
-
-def gains(path: Path, found: Mapping[str, Mapping[str, Gain]], title: str) -> Path:
-    """By name and measure: a bar with its interval and every pair as a dot in a panel per measure."""
-    measures = list(dict.fromkeys(m for of in found.values() for m in of))
-    size = (3.2 + 3.2 * len(measures), 1.2 + 0.24 * len(found))
-    figure, (row,) = _figure(title, 1, len(measures), size, sharey=True)
-    for axes, measure in zip(row, measures, strict=True):
-        for n, gain in enumerate(of.get(measure) for of in found.values()):
-            if gain is not None:
-                error = None if gain.half is None else [gain.half]
-                axes.barh(n, gain.mean, xerr=error, color="#a9c6e8", ecolor=OURS, capsize=2, height=0.7)
-                axes.plot(gain.by_pair, [n] * len(gain.by_pair), ".", color=OUR_SEEDS, markersize=4)
-        axes.axvline(0, color="black", linewidth=0.8)
-        axes.set_xlabel(measure, fontsize=9)
-    row[0].set_yticks(range(len(found)), list(found), fontsize=8)
-    row[0].invert_yaxis()
     return _saved(figure, path)
 
 

@@ -1,7 +1,6 @@
 """`devrf-pipeline bench …`: words of the command line into benchmarks."""
 
 import math
-from pathlib import Path
 from typing import Annotated, get_args
 
 import typer
@@ -16,8 +15,8 @@ from devrf.lab.bench.arguments import (
     numbers_of,
     of_a_scene,
 )
+from devrf.lab.bench.training.ablation_variants import VARIANTS
 from devrf.pipelines.cli_options import configured
-from devrf.reconstruct.ablation import VARIANTS
 from devrf.reconstruct.options import PresetName
 
 bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, rich_markup_mode=None)
@@ -82,37 +81,6 @@ def speed(
     run_speed(asked.bench, chosen, shares, every, asked.rows)
 
 
-@of_a_scene(bench)
-def growth(
-    asked: Asked,
-    strides: Annotated[str, typer.Option(help="Every n-th time of a data set")] = "4,2,1",
-    shares: Annotated[str, typer.Option(help="Of the resolution at rest")] = "0.5,0.7,1",
-    other: Annotated[
-        list[Path] | None, typer.Option(help="Another scene, in which more or less moves (repeatable)")
-    ] = None,
-) -> None:
-    """How seconds and bytes grow with the number of pictures, with the resolution, and with what moves."""
-    from devrf.lab.bench.training.growth import run_growth
-
-    every = numbers_of("--strides", strides, 1.0, 1000.0)
-    if any(n % 1 for n in every):
-        raise InputError("option-malformed", f"--strides {strides}: expected whole numbers, such as 4,2,1")
-    sizes = numbers_of("--shares", shares, 0.01, 1.0)
-    others = [asked.of(path) for path in other or []]
-    run_growth(asked.run, asked.folder, [int(n) for n in every], sizes, others, asked.rows)
-
-
-@of_a_scene(bench, preset="reference")
-def reference(
-    asked: Asked,
-    minutes: Annotated[float, typer.Option(min=0, help="No part of the ablation begins later")] = 9.0,
-) -> None:
-    """The published recipe in full, and the ablation at half size: quality, seconds, memory."""
-    from devrf.lab.bench.training.reference import run_reference
-
-    run_reference(asked.run, asked.folder, asked.rows, minutes)
-
-
 @of_a_scene(bench, SmallSceneArgument, preset="")
 def stability(
     asked: Asked,
@@ -134,28 +102,6 @@ def stability(
 
     chosen = list(AXES) if axes is None else axes_of(names_of("--axes", axes, [*GROUPS, *AXES]))
     run_stability(asked.run, asked.folder, chosen, severities, range(seeds), asked.rows, minutes)
-
-
-@of_a_scene(bench, SmallSceneArgument)
-def parts(
-    asked: Asked,
-    parts: Annotated[
-        str | None, typer.Option(help="Some of the parts, by name; default: all that are in use")
-    ] = None,
-    seeds: Annotated[
-        int, typer.Option(min=2, max=100, help="Pairs of trainings per part; they give the interval")
-    ] = 3,
-) -> None:
-    """What each part of the model earns: trainings with and without it, paired by seed, 95 % intervals.
-
-    A benchmark that was stopped goes on where it was, with the same --out.
-    """
-    from devrf.lab.bench.training.parts import run_parts
-    from devrf.reconstruct.parts import PARTS
-
-    known = [part.name for part in PARTS]
-    chosen = known if parts is None else names_of("--parts", parts, known)
-    run_parts(asked.bench, chosen, range(seeds), asked.rows)
 
 
 add_accuracy(bench)

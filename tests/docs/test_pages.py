@@ -47,6 +47,11 @@ def commands_of(group: Any, before: str = "") -> dict[str, set[str]]:
 
 
 COMMANDS = commands_of(typer.main.get_command(app))
+GONE_COMMANDS = {
+    "bench growth",
+    "bench parts",
+    "bench reference",
+}  # CHANGELOG.md says of earlier versions what they had
 FIRST_WORDS = {name.split()[0] for name in COMMANDS} | {"COMMAND"}
 
 
@@ -134,6 +139,8 @@ def alternatives(words: list[str]) -> Iterator[tuple[str, list[str]]]:
 def test_commands_and_options_exist(page: Path) -> None:
     for call in calls(page, FIRST_WORDS):
         for name, words in alternatives(call):
+            if page.name == "CHANGELOG.md" and name in GONE_COMMANDS:
+                continue
             assert name in COMMANDS or name == "COMMAND", f"{call}: there is no command {name}"
             said = {word.strip("[]") for word in words if word.strip("[").startswith("--")}
             assert said <= COMMANDS.get(name, {"--help"}), f"{call}: {said - COMMANDS.get(name, set())}"

@@ -5,32 +5,19 @@ import json
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from tests.lab.conftest import SETTINGS
 
-from devrf.capture.scene import Scene
 from devrf.lab.bench.bench_rows import Row
-from devrf.lab.bench.training import parts as parts_bench
 from devrf.lab.bench.training.ablation import PAPER_FORWARD, PAPER_INWARD
-from devrf.lab.bench.training.parts import COSTS, EARNS, NOTHING, SAVES, UNTOLD, Judged
+from devrf.lab.bench.training.ablation_variants import VARIANTS, ablated
 from devrf.lab.bench.training.speed import Case, Measured, pareto
-from devrf.lab.bench.training.trainings import Bench
-from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import ReconstructConfig
-from devrf.pipelines.console import Talk
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
-from devrf.pipelines.stages import STAGES
-from devrf.reconstruct.ablation import VARIANTS, ablated
 from devrf.reconstruct.options import PRESETS
-from devrf.reconstruct.paired import Gain, paired_gain
-from devrf.reconstruct.parts import PARTS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PICTURES = {"width": 32, "static": 14, "cameras": 2, "times": 3}
@@ -46,8 +33,7 @@ def ablation(devrf: Any, arm: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
 def _bench(devrf: Any, name: str, scene: Path, *arguments: str, code: int = 0) -> str:
     """Output of a benchmark that has to end with an exit code."""
-    preset = () if name == "reference" else ("--preset", "reference")
-    done = devrf("bench", name, scene, *preset, "--device", "cpu", *arguments)
+    done = devrf("bench", name, scene, "--preset", "reference", "--device", "cpu", *arguments)
     assert done.code == code, done.said[-2000:]
     return done.said
 
@@ -120,106 +106,10 @@ def test_some_variants_only(devrf: Any, arm: Path, ablation: tuple[Path, str], t
     assert "tvv" in wrong and "c2f" in wrong
 
 
-@pytest.mark.full
-def test_parts_are_left_out_one_by_one(devrf: Any, arm: Path, tmp_path: Path) -> None:
-    chosen = (
-        "--preset",
-        "tiny",
-        "--parts",
-        "cycle,exact_times,rest_entropy,fine_tuning",
-        "--seeds",
-        "2",
-        "--out",
-        str(tmp_path),
-    )
-    said = _bench(devrf, "parts", arm, *chosen, *SETTINGS)
-    content = json.loads((tmp_path / "parts.json").read_text())
-    assert set(content["parts"]) == {"cycle", "rest_entropy"} and content["not_in_use"] == [
-        "exact_times",
-        "fine_tuning",
-    ]
-    assert "exact_times, fine_tuning" in said and "rest_entropy" in said
-    rows = _rows(tmp_path / "parts.json")
-    for name, folder in (("cycle", "seed{}/cycle"), ("rest_entropy", "rest_entropy/seed{}/motion")):
-        whole, without = (
-            [
-                json.loads((tmp_path / of.format(seed) / "metrics.json").read_text())["test"]["psnr"]
-                for seed in (0, 1)
-            ]
-            for of in ("seed{}/whole", folder)
-        )
-        gain = content["parts"][name]["gains"]["psnr"]
-        assert gain["by_pair"] == pytest.approx(np.subtract(whole, without)) and any(gain["by_pair"])
-        assert rows[f"parts/{name}/psnr"]["value"] == pytest.approx(np.mean(gain["by_pair"]))
-        assert content["parts"][name]["gains"].keys() >= {"psnr_moving", "seconds", "model_mb"}
-    assert "no LPIPS" in rows["parts/whole/test/lpips_vgg"]["why"]
-    assert rows["parts/cycle/lpips_vgg"]["value"] is None
-    assert (tmp_path / "parts.png").stat().st_size > 10_000
-    files = sorted(tmp_path.rglob("seed*/*/metrics.json"))
-    before = {file: file.stat().st_mtime_ns for file in files}
-    assert len(files) == 2 * 5  # the whole: both stages; cycle: motion; rest_entropy: both
-    _bench(devrf, "parts", arm, *chosen, *SETTINGS)
-    assert before == {file: file.stat().st_mtime_ns for file in files}
-    wrong = _bench(devrf, "parts", arm, "--parts", "cycles", *SETTINGS, code=2)
-    assert "cycles" in wrong and "rest_entropy" in wrong
-
-
-@pytest.mark.parametrize(
-    ("name", "option", "value", "expected"),
-    [
-        ("parts", "--parts", "cycles", "rest_entropy"),
-        ("parts", "--device", "tpu", "cuda"),
-        ("stability", "--device", "tpu", "cuda"),
-    ],
-)
-def test_nothing_is_rendered_for_words_that_are_wrong(
-    devrf: Any, tmp_path: Path, name: str, option: str, value: str, expected: str
-) -> None:
-    done = devrf("bench", name, "--out", str(tmp_path / "o"), option, value)
-    assert done.code == 2 and value in done.said and expected in done.said
+def test_nothing_is_rendered_for_words_that_are_wrong(devrf: Any, tmp_path: Path) -> None:
+    done = devrf("bench", "stability", "--out", str(tmp_path / "o"), "--device", "tpu")
+    assert done.code == 2 and "tpu" in done.said and "cuda" in done.said
     assert not (tmp_path / "o").exists()
-
-
-def test_parts_of_the_motion_share_the_scene_at_rest_even_where_they_change_the_scene(
-    arm: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Pictures at times of their own: without them the scene is another, but not what is at rest in it."""
-    at_rest: list[Bench] = []
-    trained: list[Bench] = []
-    monkeypatch.setattr(Bench, "rest", lambda bench, options: at_rest.append(bench))
-    monkeypatch.setattr(parts_bench, "_trained", lambda bench, *rest: trained.append(bench) or {})
-    late = tuple(
-        replace(f, time=(f.time or 0.0) + 0.04 * (f.camera_name != "cam0")) for f in odd_scene.dynamic
-    )
-    run = Run(load_scene(arm / "scene.yaml"), arm, STAGES, Choice(), Talk("quiet"))
-    bench = Bench(run, tmp_path, replace(odd_scene, dynamic=late), {})
-    for name in ("cycle", "exact_times"):
-        parts_bench._without(bench, next(part for part in PARTS if part.name == name), 0)
-    assert at_rest == [bench, bench] and trained[0] is bench
-    assert trained[1].scene is not bench.scene and trained[1].changed_by == "devrf.reconstruct.parts"
-
-
-def test_the_first_measure_that_can_tell_decides() -> None:
-    part = next(part for part in PARTS if part.name == "cycle")
-    rest = next(part for part in PARTS if part.name == "rest_entropy")
-    yes, no, null = (paired_gain([mean] * 2, [0.0] * 2) for mean in (1.0, -1.0, 0.0))
-    open_, doubtful = paired_gain([1.0, -0.8], [0.0] * 2), paired_gain([1.0, 1.0, 1.7], [0.0] * 3)
-
-    def verdict(moving: Gain, psnr: Gain, lpips: Gain | None = open_, seconds: Gain = open_, of=part) -> str:
-        gains = {"psnr_moving": moving, "psnr": psnr, "seconds": seconds, "model_mb": open_}
-        return Judged(of, gains | ({} if lpips is None else {"lpips_vgg": lpips})).verdict
-
-    assert verdict(yes, no) == f"{EARNS} (PSNR where it moves)"
-    assert verdict(yes, no, of=rest) == f"{COSTS} (PSNR of test views)"
-    assert verdict(no, yes, no) == f"{COSTS} (PSNR where it moves)"
-    assert verdict(open_, yes, no) == f"{EARNS} (LPIPS (VGG))"  # low is good
-    assert verdict(open_, yes, yes) == f"{COSTS} (LPIPS (VGG))"
-    assert verdict(open_, yes, None) == verdict(open_, yes) == UNTOLD
-    assert verdict(open_, open_, seconds=no) == SAVES and verdict(open_, open_, seconds=yes) == UNTOLD
-    assert verdict(null, null, null, seconds=yes) == NOTHING
-    assert doubtful.side() == 1  # at 95 %, which is not enough of two that may decide
-    assert verdict(doubtful, yes) == UNTOLD
-    assert verdict(doubtful, yes, None) == f"{EARNS} (PSNR where it moves)"
 
 
 @pytest.mark.full
@@ -293,36 +183,7 @@ def test_a_front_holds_what_no_other_beats() -> None:
 
 
 @pytest.mark.full
-def test_growth_is_measured_along_every_axis(devrf: Any, arm: Path, tmp_path: Path) -> None:
-    less = tmp_path / "less.yaml"
-    less.write_text(f"name: less\ndataset: {{format: devrf, path: {arm}, frame_stride: 2}}\n")
-    choice = ("--preset", "fast", "--strides", "2,1", "--shares", "0.7,1", "--other", str(less))
-    # Fine-tuning that is asked for stays, whatever it gains: it makes two models of one.
-    tuned = ("--set", "reconstruct.fine_tuning_iterations=9")
-    _bench(devrf, "growth", arm, "--out", str(tmp_path), *choice, *SETTINGS, *tuned)
-    rows = _rows(tmp_path / "growth.json")
-    pictures = sorted(
-        float(name.split("/")[2]) for name in rows if "/pictures/" in name and name.endswith("/psnr")
-    )
-    assert pictures == [2, 3]  # of three times: every one, every second
-    fine = rows["growth/resolution/16/megabytes"]["value"]
-    coarse = rows["growth/resolution/11/megabytes"]["value"]
-    slope = rows["growth/resolution/exponent of megabytes"]["value"]
-    assert slope == pytest.approx(np.log(fine / coarse) / np.log(16 / 11)) and fine > coarse
-    keys, fewer = (rows[f"growth/moving/{name}/keys"]["value"] for name in ("every1", "other1"))
-    assert keys > fewer
-    places = {rows[f"growth/moving/{name}/voxels"]["value"] for name in ("every1", "other1")} - {0}
-    exponent = rows["growth/moving/exponent of megabytes"]
-    assert (exponent["value"] is None) == (len(places) < 2) == (exponent["why"] is not None)
-    assert (tmp_path / "growth.png").stat().st_size > 10_000
-    wrong = _bench(devrf, "growth", arm, "--strides", "0", *SETTINGS, code=2)
-    assert "--strides 0" in wrong and "expected" in wrong
-    wrong = _bench(devrf, "growth", arm, "--strides", "2.5,1", *SETTINGS, code=2)
-    assert "--strides 2.5,1: expected whole numbers" in wrong
-
-
-@pytest.mark.full
-def test_reference_script_writes_results_and_merges_them(arm: Path, tmp_path: Path) -> None:
+def test_the_gpu_script_measures_speed_and_ablation(arm: Path, tmp_path: Path) -> None:
     """benchmarks/gpu.sh as a user calls it, on the CPU at a small size, where no vision or video library is."""
     script = tmp_path / "repository" / "benchmarks"
     shutil.copytree(REPOSITORY / "benchmarks", script)
@@ -337,19 +198,17 @@ def test_reference_script_writes_results_and_merges_them(arm: Path, tmp_path: Pa
     }
     blocked = subprocess.run([sys.executable, "-c", "import cv2"], env=env, capture_output=True, check=False)
     assert blocked.returncode != 0  # they are really out of reach
-    command = [script / "gpu.sh", arm, "--device", "cpu", *SETTINGS]
+    settings = SETTINGS[: SETTINGS.index("reconstruct.image_scale=1.0") - 1]  # the script says which share
+    command = [script / "gpu.sh", arm, "--device", "cpu", *settings]
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
-    rows = _rows(tmp_path / "results" / "reference-arm.json")
-    assert rows["reference/test/psnr"]["goal"] == 34.3
-    assert rows["reference/canonical/seconds"]["value"] > 0
-    assert rows["reference/peak_gpu_gb"]["value"] is None and "CPU" in rows["reference/peak_gpu_gb"]["why"]
-    assert rows["ablation/flow/test/psnr"]["value"] > 5
     speed = _rows(tmp_path / "results" / "speed-arm.json")
-    assert speed["speed/reference/test/psnr"]["value"] == rows["reference/test/psnr"]["value"]  # trained once
+    assert speed["speed/reference/test/psnr"]["value"] > 5
     assert 0 < speed["speed/fast of reference/seconds"]["value"]
-    table = (tmp_path / "results" / "reference.md").read_text()
-    assert "| arm | CPU" in table and "not measured" in table
+    content = json.loads((tmp_path / "results" / "ablation-arm.json").read_text())
+    ablation = {row["name"]: row for row in content["rows"]}
+    assert all(ablation[f"ablation/{name}/test/psnr"]["value"] > 5 for name in VARIANTS)
+    assert content["pictures"]["width"] == 16  # of 32
 
 
 def test_a_scene_at_rest_is_refused(devrf: Any, tmp_path: Path, data_dir: Path) -> None:

@@ -8,9 +8,9 @@ import pytest
 from tests.refused import refused
 
 from devrf.calibration.boards.find import BoardSpec, BoardView
-from devrf.calibration.boards.simulated import SIZE, SPEC, board_views
 from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.lab.bench.accuracy.simulated_boards import SIZE, SPEC, board_views
 from devrf.pipelines import board_clips
 from devrf.pipelines.board_clips import BoardClips
 from devrf.pipelines.joint_clips import read_joint_views

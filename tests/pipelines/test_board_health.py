@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
-from devrf.calibration.boards.simulated import SIZE, SPEC, board_views, camera
+from devrf.lab.bench.accuracy.simulated_boards import SIZE, SPEC, board_views, camera
 from devrf.pipelines.health.board import board_rows
 from devrf.pipelines.health.rows import HealthRow
 

@@ -13,9 +13,15 @@ from devrf.calibration.rigs.cross_check import check_rig, cross_check
 from devrf.calibration.rigs.graph import Link, camera_graph
 from devrf.calibration.rigs.joint import disagreement
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale
-from devrf.calibration.rigs.synthetic import SPEC, SyntheticRig, claimed, synthetic_cameras, synthetic_views
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
+from devrf.lab.bench.accuracy.synthetic_rig import (
+    SPEC,
+    SyntheticRig,
+    claimed,
+    synthetic_cameras,
+    synthetic_views,
+)
 from devrf.pipelines.health.rig import bump_row, graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
 from devrf.pipelines.health.rows import HealthRow
 

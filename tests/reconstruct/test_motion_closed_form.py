@@ -12,14 +12,11 @@ from tests.reconstruct.conftest import REST, held_rays
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import voxel_size
-from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.losses import cycle_loss, flow_loss
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pixel_flow import PUBLISHED_WIDTH, PixelFlow
 from devrf.reconstruct.train_canonical import train_canonical
@@ -153,25 +150,3 @@ def test_first_key_stays_the_identity_and_any_window_gives_the_same() -> None:
     window = motion.window(0, 2, "cpu")
     assert window.rest_key == 0 and motion.window(2, 4, "cpu").rest_key is None
     assert window.backward.data_ptr() == motion.backward.data_ptr()  # the same memory on the same device
-
-
-def test_voxels_through_which_something_moves_are_counted() -> None:
-    aabb = torch.tensor([[0.0] * 3, [1.0] * 3])
-    rest = Canonical.new(
-        aabb, 11, 11, channels=1, mlp_width=1, stepsize=1.0, alpha_init=0.01, alpha_threshold=0.0,
-        weight_threshold=0.0, device="cpu", seed=0,
-    )  # fmt: skip
-    occupied = torch.zeros(11, 11, 11, dtype=torch.bool)
-    occupied[2:4, 5, 5] = True
-    rest.distance = distance(occupied)
-    motion = MotionField.still(aabb, 3, 11, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
-    assert moving_voxels(rest, motion) == 0
-    motion.forward[1:, ..., 1] = 0.09
-    assert moving_voxels(rest, motion) == 0  # less than a voxel
-    motion.forward[1, ..., 1] = 0.21
-    assert moving_voxels(rest, motion) == 2
-    motion.forward[2, ..., 1] = -0.31  # elsewhere at another time
-    motion.forward[2, ..., 0] = 0.1
-    assert moving_voxels(rest, motion) == 4
-    motion.forward[2, ..., 1] = 0.21  # the first where the second was before
-    assert moving_voxels(rest, motion) == 3

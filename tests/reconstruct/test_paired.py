@@ -1,10 +1,10 @@
-"""Differences over views: the interval of stretches of time, and what it covers where moments are alike."""
+"""Differences of pairs, and over views: the interval of stretches, and what it covers where moments are alike."""
 
 import numpy as np
 import pytest
-from scipy.stats import ttest_1samp
+from scipy.stats import ttest_1samp, ttest_rel
 
-from devrf.reconstruct.paired import LEAST_MOMENTS, STRETCHES, Gain, gain_over_time
+from devrf.reconstruct.paired import LEAST_MOMENTS, STRETCHES, Gain, gain_over_time, paired_gain
 
 RNG = np.random.default_rng(0)
 
@@ -56,3 +56,29 @@ def test_few_moments_are_not_judged_and_equal_models_do_not_differ() -> None:
     assert few.half is None and few.side() == 0
     same = gain(np.zeros(20))
     assert same.nothing and same.half == 0.0 and same.side() == 0
+
+
+def test_the_interval_of_pairs_is_students() -> None:
+    gain = paired_gain([3.0, 5.0, 7.0], [2.0, 3.0, 4.0])  # 1, 2, 3: mean 2, deviation 1
+    assert (gain.mean, gain.by_pair) == (2.0, (1.0, 2.0, 3.0))
+    two_degrees_of_freedom = 4.302653  # Student's t at 97.5 %
+    assert gain.half == pytest.approx(two_degrees_of_freedom / np.sqrt(3), rel=1e-6)
+    assert gain.side() == 0 and not gain.nothing
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(1.0, 1.0, 5).tolist(), rng.normal(0.0, 1.0, 5).tolist()
+    interval = ttest_rel(a, b).confidence_interval(0.95)
+    gain = paired_gain(a, b)
+    assert gain.half is not None
+    assert (gain.mean - gain.half, gain.mean + gain.half) == pytest.approx((interval.low, interval.high))
+
+
+def test_signs_of_gains() -> None:
+    assert paired_gain([1.0, 1.1], [0.0, 0.1]).side() == 1
+    assert paired_gain([0.0, 0.1], [1.0, 1.1]).side() == -1
+    assert paired_gain([1.0, 2.0], [1.0, 2.0]).nothing
+    one = paired_gain([5.0], [1.0])
+    assert one.half is None and one.side() == 0
+    with pytest.raises(ValueError, match="2 and 1"):
+        paired_gain([1.0, 2.0], [1.0])
+    with pytest.raises(ValueError, match="0 and 0"):
+        paired_gain([], [])

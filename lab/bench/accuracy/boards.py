@@ -12,10 +12,10 @@ import numpy as np
 
 from devrf.calibration.boards.calibrate import FIVE_COEFFICIENTS, calibrate_intrinsics
 from devrf.calibration.boards.find import BoardSpec, BoardView, find_board
-from devrf.calibration.boards.simulated import FOCAL, SIZE, SPEC, board_views
 from devrf.calibration.rigs.board_route import TimedView, rig_from_board
 from devrf.calibration.rigs.given import read_given
 from devrf.lab.bench.accuracy.cases import Cases, not_there
+from devrf.lab.bench.accuracy.simulated_boards import FOCAL, SIZE, SPEC, board_views
 from devrf.lab.bench.bench_rows import Row
 
 STEREO = "opencv_stereo_chessboard"

@@ -19,12 +19,18 @@ from devrf.calibration.rigs.board_route import BoardRig, rig_from_board
 from devrf.calibration.rigs.cross_check import RigCheck, check_rig, hold_out
 from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.joint import disagreement, median_baseline
-from devrf.calibration.rigs.synthetic import SPEC, SyntheticRig, claimed, synthetic_cameras, synthetic_views
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import FrameSet
 from devrf.lab.bench.accuracy.cases import Cases, not_there
+from devrf.lab.bench.accuracy.synthetic_rig import (
+    SPEC,
+    SyntheticRig,
+    claimed,
+    synthetic_cameras,
+    synthetic_views,
+)
 from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.board_clips import BoardClips
 from devrf.pipelines.board_spec import board_spec

@@ -1,6 +1,5 @@
 """`bench ablation`: what each part of the motion's training is worth (DeVRF, Tables 2 and 3)."""
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,8 @@ import numpy as np
 
 from devrf.lab.bench.bench_charts import cases
 from devrf.lab.bench.bench_rows import Row
+from devrf.lab.bench.training.ablation_variants import VARIANTS, ablated
 from devrf.lab.bench.training.trainings import Bench, score_rows, spread
-from devrf.reconstruct.ablation import VARIANTS, ablated
 
 SOURCE_INWARD = "DeVRF, Table 2: mean of its five synthetic scenes (other data; 400x400, RTX 3090)"
 SOURCE_FORWARD = "DeVRF, Table 3: mean of its two real forward-facing scenes (other data; 540x960, RTX 3090)"
@@ -42,8 +41,8 @@ def run_ablation(
         json_path: Where the rows go; the chart is drawn beside it.
         only: Names of the variants.
     """
-    results = train_variants(bench, seeds, only)
-    rows, (paper, _) = ablation_rows(bench, results), _paper(bench)
+    results = _train_variants(bench, seeds, only)
+    rows, (paper, _) = _rows(bench, results), _paper(bench)
     scene = bench.run.config.name
     labels = {name: name if name in ("base", "c2f") else f"+{name}" for name in results}
     chart = cases(
@@ -56,24 +55,22 @@ def run_ablation(
     return bench.publish(f"Ablation of {scene}", rows, json_path, seeds, chart, benchmark="ablation")
 
 
-def train_variants(
-    bench: Bench, seeds: Sequence[int], only: Sequence[str] = VARIANTS, until: float | None = None
+def _train_variants(
+    bench: Bench, seeds: Sequence[int], only: Sequence[str]
 ) -> dict[str, list[dict[str, Any]]]:
-    """Results by variant, one per seed; variants that would begin after `until` (time.monotonic) are left out."""
+    """Results by variant, one per seed."""
     results: dict[str, list[dict[str, Any]]] = {}
     for seed in seeds:
-        if until is not None and time.monotonic() >= until:
-            break
         options = bench.options(seed=seed)
         published = bench.options("reference", seed=seed).motion
         rest = bench.rest(options.canonical)
         for name, variant in ablated(options.motion, published).items():
-            if name in only and (until is None or time.monotonic() < until):
+            if name in only:
                 results.setdefault(name, []).append(bench.motion(name, rest, variant))
     return results
 
 
-def ablation_rows(bench: Bench, results: dict[str, list[dict[str, Any]]]) -> list[Row]:
+def _rows(bench: Bench, results: dict[str, list[dict[str, Any]]]) -> list[Row]:
     """Scores of every variant beside the paper's, and what each part brings."""
     paper, source = _paper(bench)
     rows = []

@@ -35,7 +35,6 @@ from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
 from devrf.reconstruct.model import render_view
 from devrf.reconstruct.model_io import load_deformation, load_rest, save_deformation, save_rest
-from devrf.reconstruct.moving_voxels import moving_voxels
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_canonical import train_canonical
@@ -53,14 +52,12 @@ class Bench:
         out: Where the benchmark writes: a run folder with models of every seed beside the stages.
         scene: Calibrated.
         flows: Backward flow by camera.
-        changed_by: Module that made `scene` of the one on disk; None: nothing did. Its version tells trainings apart.
     """
 
     run: Run
     out: Path
     scene: Scene
     flows: dict[str, CameraFlow]
-    changed_by: str | None = None
 
     @staticmethod
     def prepare(run: Run, out: Path) -> "Bench":
@@ -122,7 +119,7 @@ class Bench:
             cameras: Names of the training cameras to use; None: all.
             looks: Takes looks at the model while it is trained.
         Returns:
-            `evaluate`'s blocks, `train` (what the training measured), `moving_voxels`, `model_mb`, and `looks`.
+            `evaluate`'s blocks, `train` (what the training measured), `model_mb`, and `looks`.
         """
         scene = self.scene
         if cameras is not None:
@@ -155,7 +152,6 @@ class Bench:
             result = {
                 k: scores[k] for k in ("test", "test_moving", "test_rest", "static_baseline", "render_fps")
             }
-            result["moving_voxels"] = moving_voxels(rest.canonical, trained.motion)
             result |= {"train": {k: v for k, v in facts.items() if k != "curve"}, "model_mb": model_mb}
             return result | ({"looks": looks.taken()} if looks is not None else {})
 
