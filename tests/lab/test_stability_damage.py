@@ -29,7 +29,8 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages import STAGES, canonical, deformation
+from devrf.pipelines.training_options import training_options
 
 CLOCK = {"offset_s": 0.5, "drift_ppm": 3.0}
 
@@ -57,8 +58,15 @@ def test_cameras_are_left_out_but_never_the_test_cameras(intact: Intact) -> None
         configuration.fewer_cameras(_severe(intact, 2.0))
 
 
-def test_keys_of_the_configuration_are_damaged(intact: Intact) -> None:
-    assert configuration.learning_rate(_severe(intact, 10.0)).config.reconstruct.learning_rate == 10
+def test_trainings_get_other_rates_and_another_seed(intact: Intact) -> None:
+    usual = training_options(intact.config, intact.scene)
+    faster = configuration.learning_rate(_severe(intact, 10.0))
+    with faster.trained_otherwise("canonical"), faster.trained_otherwise("deformation"):
+        rest = canonical.training_options(faster.config, intact.scene).canonical
+        motion = deformation.training_options(faster.config, intact.scene).motion
+    assert rest == replace(usual.canonical, learning_rate=10.0)
+    assert motion == replace(usual.motion, learning_rate=10.0)
+    assert canonical.training_options is deformation.training_options is training_options
     seeds = {configuration.other_seed(_severe(intact, n)).config.reconstruct.seed for n in (1.0, 2.0)}
     assert len(seeds) == 2 and 0 not in seeds
 

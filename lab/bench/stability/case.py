@@ -1,12 +1,15 @@
 """One case: the real pipeline on a damaged scene, in a run folder of its own, and what came of it.
 
-What cases have in common is made once: all keep their stages in one cache, and a stage behind which damage is done has
-the damage among its inputs, so that stamps and cache tell it from the real one. A stage that fails is a result; a fault
-of the program or of the machine (no memory, a full disk) is none and ends the suite, which goes on later.
+What cases have in common is made once: a case begins with hard links of the undisturbed one's finished stages, of which
+stamps say what still holds; a damaged stage has the damage among its inputs, so that they tell it from the real one. A
+stage that fails is a result; a fault of the program or of the machine (no memory, a full disk) is none and ends the
+suite, which goes on later.
 """
 
 import json
+import os
 import re
+import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +24,6 @@ from devrf.capture.scene import Scene
 from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.damage.intact import Damage, Intact
 from devrf.lab.sources import code_of
-from devrf.pipelines.config.scene import CacheConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
 from devrf.pipelines.health.rows import Verdict
@@ -32,12 +34,12 @@ from devrf.pipelines.runner.workspace import is_disk_full
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
-from devrf.pipelines.stamps.stamp import read_stamp
+from devrf.pipelines.stamps.stamp import STAMP, read_stamp
 from devrf.reconstruct.evaluate import motion_psnr
 
 LAST = "evaluate"  # what follows shows the result and does not change it
+TRAININGS = ("canonical", "deformation")
 UNDISTURBED = "undisturbed"
-CACHE_GB = 100.0
 _OF_WHICH = re.compile(r" \([^()]*\)$")  # behind a check's name: its worst camera
 
 
@@ -124,7 +126,6 @@ def run_case(
     config = base.config.model_copy(
         update={
             "output": str((folder / "run").resolve()),
-            "cache": CacheConfig(folder=str((out / "cache").resolve()), max_gb=CACHE_GB),
             "reconstruct": base.config.reconstruct.model_copy(update={"seed": seed}),
             # A slow machine breaks nothing.
             "budget": base.config.budget.model_copy(update={"time_minutes": None}),
@@ -134,7 +135,9 @@ def run_case(
     if undisturbed is not None:
         intact = Intact(config, base.scene_dir, undisturbed, folder.resolve(), severity, seed)
         done = AXES[axis].damaging(intact)
-    stages = [_damaged(s, done, folder, axis, severity, seed) if s.name == done.stage else s for s in STAGES]
+    damaged = (done.stage,) if done.options is None else TRAININGS
+    stages = [_damaged(s, done, folder, axis, severity, seed) if s.name in damaged else s for s in STAGES]
+    _link_finished(_undisturbed_run(out, axis, seed), folder, damaged)
     heard, refusals = _Listener(), list[DevrfError]()
     watched = [_watched(stage, refusals) for stage in stages]
     run = Run(
@@ -216,11 +219,43 @@ def _result(
 
 def is_made(out: Path, axis: str, severity: float, seed: int) -> bool:
     """Whether a case was run to its end already; it may have to be run again all the same."""
-    return (_folder(out, axis, severity, seed) / "run" / LAST / "stamp.json").is_file()
+    return (_folder(out, axis, severity, seed) / "run" / LAST / STAMP).is_file()
 
 
 def _folder(out: Path, axis: str, severity: float, seed: int) -> Path:
     return out / f"{axis}-{severity:g}" / f"seed{seed}"
+
+
+def _undisturbed_run(out: Path, axis: str, seed: int) -> Path | None:
+    """Run folder of the undisturbed case of a seed; for that case itself, another seed's, if there is one."""
+    if axis != UNDISTURBED:
+        return _folder(out, UNDISTURBED, 0.0, seed) / "run"
+    own = _folder(out, axis, 0.0, seed)
+    return next((other / "run" for other in sorted(own.parent.glob("seed*")) if other != own), None)
+
+
+def _link_finished(source: Path | None, folder: Path, damaged: Sequence[str | None]) -> None:
+    """Hard links of a run's finished stages in a case's run folder, for those that it lacks and no damage reaches."""
+    reached = {LAST, *damaged}
+    for stage in STAGES:
+        target = folder / "run" / stage.name
+        if stage.name in reached or reached.intersection(stage.reads):
+            reached.add(stage.name)
+            continue
+        if source is None or target.exists() or read_stamp(source / stage.name) is None:
+            continue
+        half_made = folder / "linked"  # beside the run: what carries a stage's name there is complete
+        shutil.rmtree(half_made, ignore_errors=True)
+        shutil.copytree(source / stage.name, half_made, copy_function=_link)
+        target.parent.mkdir(exist_ok=True)
+        half_made.rename(target)
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without links
+        shutil.copy2(source, target)
 
 
 def _watched(stage: Stage, refusals: list[DevrfError]) -> Stage:
@@ -238,13 +273,14 @@ def _watched(stage: Stage, refusals: list[DevrfError]) -> Stage:
 
 
 def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:
-    """The stage, and damage behind it."""
+    """The stage with other options of its training, or with damage behind it."""
     file = folder / "damage.json"
     code = code_of("lab/bench/stability/damage", "lab/simulate/session")
     file.write_text(json.dumps({"axis": axis, "severity": severity, "seed": seed, "code": code}))
 
     def run(context: Any) -> None:
-        stage.run(context)
+        with done.trained_otherwise(stage.name):
+            stage.run(context)
         done.behind(context)
 
     return replace(stage, run=run, inputs=lambda *of: {**stage.inputs(*of), "damage": file})

@@ -12,7 +12,7 @@ from devrf.lab.bench.stability.damage.intact import (
     behind_scene,
     with_capture,
 )
-from devrf.pipelines.config.scene import SceneConfig
+from devrf.reconstruct.options import Options
 
 SEEDS_APART = 1000  # more than anyone repeats a case
 
@@ -38,13 +38,16 @@ def fewer_cameras(intact: Intact) -> Damage:
 
 def learning_rate(intact: Intact) -> Damage:
     """The learning rates of both trainings multiplied."""
-    return Damage(_with_reconstruct(intact.config, learning_rate=intact.severity))
+
+    def faster(usual: Options) -> Options:
+        rates = {"learning_rate": intact.severity}
+        return Options(replace(usual.canonical, **rates), replace(usual.motion, **rates))
+
+    return Damage(intact.config, options=faster)
 
 
 def other_seed(intact: Intact) -> Damage:
     """Nothing but another seed of the trainings."""
-    return Damage(_with_reconstruct(intact.config, seed=SEEDS_APART * int(intact.severity) + intact.seed))
-
-
-def _with_reconstruct(config: SceneConfig, **changes: object) -> SceneConfig:
-    return config.model_copy(update={"reconstruct": config.reconstruct.model_copy(update=changes)})
+    seed = SEEDS_APART * int(intact.severity) + intact.seed
+    reconstruct = intact.config.reconstruct.model_copy(update={"seed": seed})
+    return Damage(intact.config.model_copy(update={"reconstruct": reconstruct}))

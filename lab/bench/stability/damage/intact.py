@@ -1,7 +1,9 @@
 """What is to be damaged, and what a damage is."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from devrf.capture.formats.scene_files import read_scene, write_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.config.scene import CaptureConfig, SceneConfig
 from devrf.pipelines.stage import StageContext
+from devrf.reconstruct.options import Options
 
 
 class DoesNotApply(DevrfError):
@@ -66,11 +69,27 @@ class Damage:
         config: Its configuration.
         stage: The stage behind which damage is done; None: nowhere.
         behind: Does it, given what the stage was given.
+        options: Changes the options of both trainings; None: nothing does.
     """
 
     config: SceneConfig
     stage: str | None = None
     behind: Callable[[StageContext], None] = lambda context: None
+    options: Callable[[Options], Options] | None = None
+
+    @contextmanager
+    def trained_otherwise(self, stage: str) -> Iterator[None]:
+        """While this holds, a stage trains with other options than its configuration says."""
+        if self.options is None:
+            yield
+            return
+        change, module = self.options, import_module(f"devrf.pipelines.stages.{stage}")
+        usual = module.training_options
+        module.training_options = lambda config, scene: change(usual(config, scene))
+        try:
+            yield
+        finally:
+            module.training_options = usual
 
 
 Damaging = Callable[[Intact], Damage]
