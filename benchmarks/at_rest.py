@@ -34,7 +34,7 @@ from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.still_picture import still_picture
 
 ROOMS = {  # arguments of simulate; chosen before the first training
-    "shelves": "--scene tumbling --seed 11",
+    "shelves": "--scene changing --set change=tumble --seed 11",
     "window": "--scene sheet --seed 12",
     "narrow": "--scene column --seed 13",
 }

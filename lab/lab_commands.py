@@ -14,7 +14,7 @@ def simulate(
         str | None,
         typer.Option(
             help="What moves. session: sheet (default), column, blocks, figure, plant, leaving, rod and others; "
-            "devrf, devrf-forward: vehicle, robot, flower, glove or arm (default: vehicle; forward: flower)"
+            "devrf, devrf-forward: robot, flower or arm (default: arm; forward: flower)"
         ),
     ] = None,
     protocol: Annotated[

@@ -44,7 +44,7 @@ def _session(out: Path, scene: str, **arguments: Any) -> Path:
 
 PROTOCOLS = {
     "session": Protocol(SessionOptions, _session, "sheet", 4, "480x360"),
-    "devrf": Protocol(DatasetOptions, simulate_dataset, "vehicle", 4, "400x400"),
+    "devrf": Protocol(DatasetOptions, simulate_dataset, "arm", 4, "400x400"),
     "devrf-forward": Protocol(ForwardOptions, simulate_forward, "flower", 3, "480x270"),
 }
 

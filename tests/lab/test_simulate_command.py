@@ -17,7 +17,7 @@ from devrf.pipelines.console import Talk
     ("protocol", "expected"),
     [
         ("session", ("sheet", 4, (480, 360), SessionOptions)),
-        ("devrf", ("vehicle", 4, (400, 400), DatasetOptions)),
+        ("devrf", ("arm", 4, (400, 400), DatasetOptions)),
         ("devrf-forward", ("flower", 3, (480, 270), ForwardOptions)),
     ],
 )

@@ -25,10 +25,10 @@ PICTURES = 4 + 2 + 2 + 2 * 4 + 2 + 2 * 4
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mitsuba")
-    out = tmp_path_factory.mktemp("dataset") / "glove"
+    out = tmp_path_factory.mktemp("dataset") / "flower"
     told: list[float] = []
     made = simulate_dataset(
-        out, "glove", cameras=2, seed=3, size=SIZE, options=TINY, progress=lambda f, m: told.append(f)
+        out, "flower", cameras=2, seed=3, size=SIZE, options=TINY, progress=lambda f, m: told.append(f)
     )
     assert made.scene_yaml == out / "scene.yaml" and made.rendered == PICTURES
     assert told == sorted(told) and told[-1] == pytest.approx(1)
@@ -62,7 +62,7 @@ def test_layout_is_the_published_one(dataset: Path) -> None:
 
 def test_it_is_read_as_a_data_set(dataset: Path) -> None:
     config = yaml.safe_load((dataset / "scene.yaml").read_text(encoding="utf-8"))
-    assert config == {"name": "glove", "dataset": {"format": "devrf", "path": "."}}
+    assert config == {"name": "flower", "dataset": {"format": "devrf", "path": "."}}
     scene = read_dataset("devrf", dataset)
     assert len(scene.static) == 6 and len(scene.dynamic) == 16
     assert scene.kind == "inward" and scene.background == "white" and scene.rest_time == 0
@@ -105,7 +105,7 @@ def test_flow_and_depth_belong_to_the_pictures(dataset: Path) -> None:
 def test_same_arguments_same_bytes_and_more_cameras_begin_with_the_same(
     dataset: Path, tmp_path: Path
 ) -> None:
-    simulate_dataset(tmp_path, "glove", cameras=1, seed=3, size=SIZE, options=TINY)
+    simulate_dataset(tmp_path, "flower", cameras=1, seed=3, size=SIZE, options=TINY)
     pictures = {file.relative_to(tmp_path): file.read_bytes() for file in tmp_path.rglob("*.png")}
     rooms = {path.parts[:2] for path in pictures}
     assert {("static", "train"), ("dynamic_1views", "train"), ("dynamic_1views", "test")} <= rooms
@@ -120,15 +120,15 @@ def test_interrupted_it_goes_on_and_complete_it_does_nothing(dataset: Path, tmp_
     arguments = {"cameras": 2, "seed": 3, "size": SIZE, "options": TINY}
     kept = out / "static" / "train" / "r_000.png"
     kept.write_bytes(b"left alone")
-    assert simulate_dataset(out, "glove", **arguments).rendered == 0
+    assert simulate_dataset(out, "flower", **arguments).rendered == 0
     made_by = _json(out / "made_by.json")
-    assert made_by["complete"] and made_by["scene"] == "glove" and made_by["seed"] == 3
+    assert made_by["complete"] and made_by["scene"] == "flower" and made_by["seed"] == 3
     (out / "made_by.json").write_text(json.dumps({**made_by, "complete": False}))
     gone = [out / "dynamic_2views" / name for name in ("train/r_006.png", "test/r_003.png")]
     gone.append(out / "dynamic_2views" / "train_flow" / "004_bwd.npz")
     for file in gone:
         file.unlink()
-    assert simulate_dataset(out, "glove", **arguments).rendered == 2
+    assert simulate_dataset(out, "flower", **arguments).rendered == 2
     for file in gone[:2]:
         assert file.read_bytes() == (dataset / file.relative_to(out)).read_bytes()
     with np.load(gone[2]) as new, np.load(dataset / gone[2].relative_to(out)) as old:
@@ -139,19 +139,19 @@ def test_interrupted_it_goes_on_and_complete_it_does_nothing(dataset: Path, tmp_
 def test_a_folder_that_holds_something_else_is_refused(dataset: Path, tmp_path: Path) -> None:
     arguments = {"cameras": 2, "seed": 3, "size": SIZE, "options": TINY}
     with refused("folder-exists", "seed 3", "4", kind=InputError):
-        simulate_dataset(dataset, "glove", **{**arguments, "seed": 4})
-    with refused("folder-exists", "scene glove", "arm", kind=InputError):
+        simulate_dataset(dataset, "flower", **{**arguments, "seed": 4})
+    with refused("folder-exists", "scene flower", "arm", kind=InputError):
         simulate_dataset(dataset, "arm", **arguments)
     (tmp_path / "mine.txt").write_text("precious")
     with refused("folder-exists", tmp_path, "made_by.json", kind=InputError):
-        simulate_dataset(tmp_path, "glove", **arguments)
+        simulate_dataset(tmp_path, "flower", **arguments)
     assert [f.name for f in tmp_path.iterdir()] == ["mine.txt"]
 
 
 @pytest.mark.parametrize(
     ("change", "refusal"),
     [
-        ({"scene": "sheet"}, ("scene-unknown", "sheet", "vehicle, robot, flower, glove, arm")),
+        ({"scene": "sheet"}, ("scene-unknown", "sheet", "robot, flower, arm")),
         ({"cameras": 0}, ("option-out-of-range", "cameras 0", "1 to 8")),
         ({"cameras": 9}, ("option-out-of-range", "cameras 9", "1 to 8")),
         ({"size": (8, 48)}, ("option-out-of-range", "8x48")),

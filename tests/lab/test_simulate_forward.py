@@ -111,6 +111,6 @@ def test_alpha_is_the_model_s_matte_and_the_wall_stands_still(dataset: Path) -> 
 def test_too_wide_a_picture_would_look_past_the_wall(tmp_path: Path) -> None:
     with refused("option-out-of-range", "200x80", "2:1", kind=InputError):
         simulate_forward(tmp_path / "out", "flower", size=(200, 80), options=TINY)
-    with refused("scene-unknown", "flagg", "vehicle", kind=InputError):
+    with refused("scene-unknown", "flagg", "robot", kind=InputError):
         simulate_forward(tmp_path / "out", "flagg", size=SIZE, options=TINY)
     assert not (tmp_path / "out").exists()

@@ -15,6 +15,7 @@ from devrf.lab.simulate.scenes.catalogue import (
     room,
     texture,
 )
+from devrf.lab.simulate.scenes.changing import CHANGES
 from devrf.lab.simulate.scenes.furniture import ROOMS, furnished
 from devrf.lab.simulate.scenes.objects import OBJECTS, SHEET_HEIGHT_M, SHEET_TOP_M, SHEET_WIDTH_M, make_object
 from devrf.lab.simulate.scenes.session_options import SessionOptions
@@ -22,12 +23,21 @@ from devrf.lab.simulate.scenes.shapes import ball, rounded_box
 from devrf.lab.simulate.session.camera_rig import fixed_cameras, sweep_cameras
 
 TIMES_S = np.linspace(0.05, 2.5, 12)
-RIGID = ("tumbling", "leaving", "rod")
+RIGID = ("tumble", "leaving", "rod")
+KINDS = [name for name in OBJECTS if name != "changing"] + list(CHANGES)
 
 
-@pytest.mark.parametrize("name", OBJECTS)
+def _made(kind: str, **options: float) -> MovingObject:
+    """An object, or what the one that changes does."""
+    if kind in CHANGES:
+        chosen = SessionOptions.model_validate({"change": kind, **options})
+        return make_object("changing", np.random.default_rng(0), chosen)
+    return make_object(kind, np.random.default_rng(0), SessionOptions.model_validate(options))
+
+
+@pytest.mark.parametrize("name", KINDS)
 def test_object_is_at_rest_until_it_moves_by_a_visible_amount(name: str) -> None:
-    thing = make_object(name, np.random.default_rng(0), SessionOptions())
+    thing = _made(name)
     for time_s in (-1.0, 0.0):
         np.testing.assert_array_equal(thing.vertices_at(time_s), thing.rest.vertices)
     way = np.stack([thing.vertices_at(t) - thing.rest.vertices for t in TIMES_S])
@@ -41,9 +51,9 @@ def test_object_is_at_rest_until_it_moves_by_a_visible_amount(name: str) -> None
         assert np.abs((lo + hi) / 2 - CENTRE)[:2].max() < 0.2
 
 
-@pytest.mark.parametrize("name", [name for name in OBJECTS if name not in RIGID])
+@pytest.mark.parametrize("name", [name for name in KINDS if name not in RIGID])
 def test_motion_is_not_rigid(name: str) -> None:
-    thing = make_object(name, np.random.default_rng(0), SessionOptions())
+    thing = _made(name)
     a, b = thing.rest.vertices, thing.vertices_at(1.3)
     u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
     R = vt.T @ np.diag([1, 1, np.linalg.det(vt.T @ u.T)]) @ u.T  # Kabsch: the best rigid motion
@@ -80,10 +90,10 @@ def test_strips_of_the_sheet_have_the_width_and_gaps_that_were_asked_for() -> No
 
 
 def test_what_appears_is_not_there_at_rest_and_halves_touch() -> None:
-    ball = make_object("appearing", np.random.default_rng(0), SessionOptions())
+    ball = _made("appear")
     assert np.ptp(ball.rest.vertices, axis=0).max() < 0.003  # metres: less than a pixel
     assert np.ptp(ball.vertices_at(2.0), axis=0).min() == pytest.approx(0.4, abs=0.01)
-    block = make_object("parting", np.random.default_rng(0), SessionOptions(motion_scale=0.5))
+    block = _made("part", motion_scale=0.5)
     apart = block.vertices_at(2.0)[:, 1] - block.rest.vertices[:, 1]
     np.testing.assert_allclose(np.abs(apart), 0.075)
     inner = np.abs(block.rest.vertices[:, 1]).min()
@@ -91,7 +101,7 @@ def test_what_appears_is_not_there_at_rest_and_halves_touch() -> None:
 
 
 def test_what_turns_over_shows_its_underside_and_stays_on_its_plinth() -> None:
-    thing = make_object("tumbling", np.random.default_rng(0), SessionOptions())
+    thing = _made("tumble")
     under = thing.rest.vertices[:, 2] == thing.rest.vertices[:, 2].min()
     turned = thing.vertices_at(2.0)
     assert turned[under, 0].min() == pytest.approx(turned[:, 0].max())  # now before the fixed cameras

@@ -124,21 +124,24 @@ AXES = {
         "a ball that is not there at rest",
         "cm radius",
         (3.0, 7.0, 15.0, 30.0),
-        again(lambda was, cm: {"motion_scale": cm / 20, "strip_m": 0.0}, "appearing"),
+        again(lambda was, cm: {"motion_scale": cm / 20, "strip_m": 0.0, "change": "appear"}, "changing"),
     ),
     "parting": _films(
         "subject",
         "a block that splits",
         "cm that each half moves",
         (3.0, 7.0, 15.0, 30.0),
-        again(lambda was, cm: {"motion_scale": cm / 15, "strip_m": 0.0}, "parting"),
+        again(lambda was, cm: {"motion_scale": cm / 15, "strip_m": 0.0, "change": "part"}, "changing"),
     ),
     "tumbling": _films(
         "subject",
         "a block that turns over",
         "degrees",
         (20.0, 45.0, 90.0, 180.0),
-        again(lambda was, degrees: {"motion_scale": degrees / 90, "strip_m": 0.0}, "tumbling"),
+        again(
+            lambda was, degrees: {"motion_scale": degrees / 90, "strip_m": 0.0, "change": "tumble"},
+            "changing",
+        ),
     ),
     "thin": _films(
         "subject",

@@ -1,6 +1,6 @@
-"""Objects that the scene at rest cannot explain: what appears, splits, or shows a side that nobody has seen.
+"""An object that the scene at rest cannot explain: it appears, splits, or shows a side that nobody has seen.
 
-Each stands on a plinth in the room of `scenes`. `motion_scale` says how far it goes: times 0.2 m of a ball's radius,
+It stands on a plinth in the room of `scenes`. `motion_scale` says how far it goes: times 0.2 m of a ball's radius,
 0.15 m that a half moves, or 90 degrees of a turn.
 """
 
@@ -19,48 +19,21 @@ SEED_M = 1e-3  # radius of a ball that is not there yet: its normals are defined
 BLOCK_M = (0.34, 0.44, 0.36)
 DURATION_S = 1.0  # of the whole change, at a motion_speed of 1
 
-
-def appearing(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
-    """A ball that grows out of nothing on its plinth."""
-    shape = ball(rng, PRINT, 1.0)
-
-    def vertices_at(time_s: float) -> np.ndarray:
-        radius = SEED_M + options.motion_scale * BALL_M * ease(time_s / DURATION_S)
-        return radius * shape.vertices + [0.0, 0.0, TOP_M + radius]
-
-    return _object(rng, options, shape, vertices_at)
+Changed = tuple[
+    Mesh, Callable[[float], np.ndarray]
+]  # a shape, and its vertices when so much of the change is done
 
 
-def parting(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
-    """A block whose left and right halves move apart; at rest their faces touch and nobody sees them."""
-    x, y, z = BLOCK_M
-    half = rounded_box(rng, (x, y / 2, z), PRINT, 0.01)
-    count = len(half.vertices)
-    sides = np.repeat([-1.0, 1.0], count)[:, None] * [0.0, 1.0, 0.0]
-    at_rest = np.tile(half.vertices, (2, 1)) + y / 4 * sides + [0.0, 0.0, TOP_M + z / 2]
-    both = replace(
-        half,
-        vertices=at_rest,
-        faces=np.concatenate([half.faces, half.faces + count]),
-        uv=np.tile(half.uv, (2, 1)),
-    )
-
-    def vertices_at(time_s: float) -> np.ndarray:
-        return at_rest + options.motion_scale * PART_M * ease(time_s / DURATION_S) * sides
-
-    return _object(rng, options, both, vertices_at)
-
-
-def tumbling(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
-    """A block that turns over towards the fixed cameras, its lowest point always on the plinth."""
-    block = rounded_box(rng, BLOCK_M, PRINT, 0.03)
-
-    def vertices_at(time_s: float) -> np.ndarray:
-        angle_deg = -TURN_DEG * options.motion_scale * ease(time_s / DURATION_S)
-        turned = block.vertices @ turn("y", angle_deg)[:3, :3].T
-        return turned + [0.0, 0.0, TOP_M - turned[:, 2].min()]
-
-    return _object(rng, options, block, vertices_at)
+def changing(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
+    """What `options.change` says, with a print like the sheet's, on its plinth."""
+    shape, vertices_at = CHANGES[options.change](rng, options.motion_scale)
+    contrast = options.texture_contrast
+    print_ = texture(rng, 440, 660, 0.002, contrast, paint=PRINT, largest_m=0.16, smallest_m=0.035)
+    rest = replace(shape, vertices=vertices_at(0.0), texture=print_)
+    size = np.array([0.5, 0.6, TOP_M - PLATFORM_M])
+    middle = np.array([0.0, 0.0, (TOP_M + PLATFORM_M) / 2])
+    stand = tuple(box(rng, middle, size, 0.0, contrast, WOOD))
+    return MovingObject(rest, lambda time_s: vertices_at(ease(time_s / DURATION_S)), stand)
 
 
 def ease(x: float) -> float:
@@ -69,13 +42,38 @@ def ease(x: float) -> float:
     return x * x * (3 - 2 * x)
 
 
-def _object(
-    rng: np.random.Generator, options: SessionOptions, shape: Mesh, vertices_at: Callable[[float], np.ndarray]
-) -> MovingObject:
-    """The shape with a print like the sheet's, on its plinth."""
-    contrast = options.texture_contrast
-    print_ = texture(rng, 440, 660, 0.002, contrast, paint=PRINT, largest_m=0.16, smallest_m=0.035)
-    rest = replace(shape, vertices=vertices_at(0.0), texture=print_)
-    size = np.array([0.5, 0.6, TOP_M - PLATFORM_M])
-    middle = np.array([0.0, 0.0, (TOP_M + PLATFORM_M) / 2])
-    return MovingObject(rest, vertices_at, tuple(box(rng, middle, size, 0.0, contrast, WOOD)))
+def _appears(rng: np.random.Generator, scale: float) -> Changed:
+    """A ball that grows out of nothing."""
+    shape = ball(rng, PRINT, 1.0)
+
+    def vertices_at(done: float) -> np.ndarray:
+        radius = SEED_M + scale * BALL_M * done
+        return radius * shape.vertices + [0.0, 0.0, TOP_M + radius]
+
+    return shape, vertices_at
+
+
+def _parts(rng: np.random.Generator, scale: float) -> Changed:
+    """A block whose left and right halves move apart; at rest their faces touch and nobody sees them."""
+    x, y, z = BLOCK_M
+    half = rounded_box(rng, (x, y / 2, z), PRINT, 0.01)
+    count = len(half.vertices)
+    sides = np.repeat([-1.0, 1.0], count)[:, None] * [0.0, 1.0, 0.0]
+    at_rest = np.tile(half.vertices, (2, 1)) + y / 4 * sides + [0.0, 0.0, TOP_M + z / 2]
+    faces = np.concatenate([half.faces, half.faces + count])
+    both = replace(half, vertices=at_rest, faces=faces, uv=np.tile(half.uv, (2, 1)))
+    return both, lambda done: at_rest + scale * PART_M * done * sides
+
+
+def _tumbles(rng: np.random.Generator, scale: float) -> Changed:
+    """A block that turns over towards the fixed cameras, its lowest point always on the plinth."""
+    block = rounded_box(rng, BLOCK_M, PRINT, 0.03)
+
+    def vertices_at(done: float) -> np.ndarray:
+        turned = block.vertices @ turn("y", -TURN_DEG * scale * done)[:3, :3].T
+        return turned + [0.0, 0.0, TOP_M - turned[:, 2].min()]
+
+    return block, vertices_at
+
+
+CHANGES = {"appear": _appears, "part": _parts, "tumble": _tumbles}

@@ -1,11 +1,9 @@
-"""Models that bend: a flower that opens, and a hand in a glove that closes.
+"""A model that bends: a flower that opens.
 
-World and limits as in `simulate_machines`. Stems, petals and fingers are tubes around lines that bend; along
-them lengths are kept.
+World and limits as in `machines`. Stems and petals are tubes around lines that bend; along them lengths are kept.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +15,6 @@ from devrf.lab.simulate.scenes.shapes import (
     bent,
     ease,
     rigid,
-    rounded_box,
     shift,
     tube,
     tube_mesh,
@@ -31,18 +28,8 @@ PETAL = (Paint((225, 110, 130), 60.0), Paint((225, 150, 70), 60.0))
 HEART = Paint((205, 165, 55), 60.0)
 CLAY = Paint((175, 100, 70), 50.0)
 SOIL = Paint((80, 62, 50), 35.0)
-LEATHER = Paint((175, 125, 80), 65.0)
-FINGERS = (
-    Paint((180, 80, 70), 60.0),
-    Paint((190, 150, 60), 60.0),
-    Paint((80, 145, 95), 60.0),
-    Paint((75, 115, 180), 60.0),
-    Paint((150, 95, 165), 60.0),
-)
-CUFF = Paint((70, 85, 120), 55.0)
 STEM_LENGTH = 1.15
 RINGS = 40
-HAND_SIZE = 1.2  # relative to the numbers in `glove`
 
 
 def flower(rng: np.random.Generator, motion_scale: float) -> Model:
@@ -123,58 +110,6 @@ def _leaf(pose: Pose, length: float, width: float, angle: np.ndarray) -> np.ndar
     hollow = 0.9 * (rings @ [0, 1, 0]) ** 2 / width
     rings = rings - hollow[..., None] * side[:, None]
     return rings @ pose[:3, :3].T + pose[:3, 3]
-
-
-def glove(rng: np.random.Generator, motion_scale: float) -> Model:
-    """A hand in a glove: four fingers and a thumb curl from a stretched hand to a fist."""
-    profile = (
-        [(0.0, -0.36), (0.3, -0.36)],
-        [(0.3, -0.36), (0.34, -0.3), (0.3, -0.1), (0.27, 0.0)],
-        [(0.27, 0.0), (0.0, 0.02)],
-    )
-    cuff = turned(rng, CUFF, *profile)
-    oval = np.diag([1.0, 0.62, 1.0, 1.0])
-    parts = [
-        rigid(rounded_box(rng, (0.86, 0.31, 0.84), LEATHER, 0.14), shift(0, 0, -0.32)),
-        rigid(cuff, shift(0, 0, -0.68) @ oval),
-    ]
-    for k, (x, top, length) in enumerate(
-        ((-0.325, 0.02, 0.66), (-0.11, 0.06, 0.8), (0.11, 0.06, 0.86), (0.325, 0.03, 0.76))
-    ):
-        root = shift(x, 0, top - 0.08) @ turn("y", 9 * x / 0.325) @ turn("z", -90)  # curls towards -y
-        parts.append(
-            _soft(rng, _finger(root, length, 0.108, (78, 85, 45), 0.07 * k, motion_scale), FINGERS[k])
-        )
-    root = shift(0.36, -0.02, -0.52) @ turn("y", 52) @ turn("z", -140)
-    parts.append(_soft(rng, _finger(root, 0.68, 0.12, (20, 40, 55), 0.2, motion_scale), FINGERS[4]))
-    return tuple(_grown(part) for part in parts)
-
-
-def _grown(part: Part) -> Part:
-    """The hand was measured at a smaller size."""
-    return Part(
-        replace(part.rest, vertices=HAND_SIZE * part.rest.vertices),
-        lambda time: HAND_SIZE * part.vertices_at(time),
-    )
-
-
-def _finger(
-    root: Pose, length: float, radius: float, curl_deg: tuple[int, ...], start: float, motion_scale: float
-) -> Callable[[float], np.ndarray]:
-    """A finger that bends at three joints, thicker there, beginning at the time `start`."""
-    s = np.linspace(0, 1, 56)
-    joints = (0.14, 0.48, 0.75)
-    end = np.sqrt(np.clip(1 - ((s - 1 + radius / length) / (radius / length)).clip(0) ** 2, 0, 1))
-    bulge = 1 + 0.07 * sum(np.exp(-(((s - j) / 0.06) ** 2)) for j in joints) - 0.18 * s
-    r = radius * end * bulge
-    steps = [0.5 + 0.5 * np.sin(np.pi * np.clip((s - j) / 0.26, -0.5, 0.5)) for j in joints]
-
-    def rings(time: float) -> np.ndarray:
-        e = motion_scale * ease(time, start, 0.8 + start)
-        angle = np.radians(sum((4 + e * deg) * step for deg, step in zip(curl_deg, steps, strict=True)))
-        return tube(*bent(length, angle), r, r) @ root[:3, :3].T + root[:3, 3]
-
-    return rings
 
 
 def _soft(

@@ -1,4 +1,4 @@
-"""Models of rigid parts: a vehicle, a robot whose parts float apart, a robot arm.
+"""Models of rigid parts: a robot whose parts float apart, a robot arm.
 
 World: z up, front along +x, the origin in the middle, two to three units in size and within 1.35 units of the
 origin at all times, so that cameras four units away see all of it. `motion_scale` multiplies every motion.
@@ -29,91 +29,7 @@ TEAL = Paint((60, 150, 150), 60.0)
 ORANGE = Paint((220, 120, 50), 60.0)
 GREY = Paint((140, 145, 150), 55.0)
 DARK = Paint((62, 62, 70), 35.0)
-GLASS = Paint((95, 140, 175), 40.0)
 LIGHT = Paint((235, 225, 170), 15.0)
-
-
-def vehicle(rng: np.random.Generator, motion_scale: float) -> Model:
-    """A toy dump truck: the bed tilts with its load, wheels turn, the front ones steer."""
-    fixed = [
-        (rounded_box(rng, (2.05, 0.5, 0.16), DARK), shift(0, 0, -0.36)),
-        (rounded_box(rng, (0.62, 0.92, 0.86), RED, 0.1), shift(0.72, 0, 0.13)),
-        (rounded_box(rng, (0.05, 0.74, 0.34), GLASS, 0.02), shift(1.02, 0, 0.28)),
-        (rounded_box(rng, (0.36, 0.96, 0.3), GLASS, 0.02), shift(0.74, 0, 0.3)),
-        (rounded_box(rng, (0.16, 0.98, 0.14), GREY), shift(1.02, 0, -0.33)),
-        (rounded_box(rng, (0.05, 0.5, 0.16), DARK, 0.02), shift(1.03, 0, -0.07)),
-        (cylinder(rng, GREY, 0.045, 0, 0.75), shift(0.36, 0.38, -0.2)),
-    ]
-    fixed += [
-        (cylinder(rng, LIGHT, 0.08, 0, 0.06), shift(1.0, 0.34 * s, -0.1) @ turn("y", 90)) for s in (1, -1)
-    ]
-    parts = [rigid(mesh, pose) for mesh, pose in fixed]
-    for x in (0.66, -0.62):
-        for s in (1, -1):
-            parts += _wheel(rng, (x, 0.5 * s, -0.42), s, 26.0 * motion_scale * (x > 0), 150 * motion_scale)
-
-    hinge = shift(-0.92, 0, -0.2)
-
-    def bed(time: float) -> Pose:
-        return hinge @ turn("y", -48 * motion_scale * ease(time)) @ shift(0.62, 0, 0)
-
-    walls = [
-        ((1.3, 1.0, 0.1), (0, 0, 0)),
-        ((0.09, 1.0, 0.46), (0.62, 0, 0.25)),
-        ((0.09, 1.0, 0.32), (-0.62, 0, 0.18)),
-    ]
-    walls += [((1.3, 0.09, 0.42), (0, 0.47 * s, 0.22)) for s in (1, -1)]
-    load = [
-        (ball(rng, paint, r), place)
-        for paint, r, place in (
-            (BLUE, 0.24, (0.3, 0.16, 0.27)),
-            (TEAL, 0.19, (-0.12, -0.2, 0.22)),
-            (ORANGE, 0.17, (-0.3, 0.22, 0.2)),
-            (RED, 0.15, (0.3, -0.27, 0.19)),
-        )
-    ]
-    load += [(rounded_box(rng, size, YELLOW), place) for size, place in walls]
-    parts += [rigid(mesh, lambda time, place=place: bed(time) @ shift(*place)) for mesh, place in load]
-
-    def piston(time: float, from_bed: bool) -> Pose:
-        low, high = np.array([0.05, 0, -0.33]), (bed(time) @ [0.35, 0, 0, 1])[:3]
-        lean = np.degrees(np.arctan2(high[0] - low[0], high[2] - low[2]))
-        return shift(*(high if from_bed else low)) @ turn("y", lean)
-
-    parts.append(rigid(cylinder(rng, GREY, 0.035, -0.6, 0.0), lambda time: piston(time, True)))
-    return tuple(parts)
-
-
-def _wheel(
-    rng: np.random.Generator,
-    place: tuple[Number, Number, Number],
-    side: int,
-    steer_deg: Number,
-    roll_deg: Number,
-) -> list[Part]:
-    """A tyre, a hub and three bolts; `side` is the sign of y that looks outward."""
-
-    def pose(time: float) -> Pose:
-        axle = turn("x", -90.0 * side)  # the wheel's z points outward
-        return shift(*place) @ turn("z", steer_deg * ease(time)) @ turn("y", roll_deg * ease(time)) @ axle
-
-    tyre = [(0.2, -0.11), (0.28, -0.11), (0.315, -0.07), (0.32, 0), (0.315, 0.07), (0.28, 0.11), (0.2, 0.11)]
-    meshes = [
-        turned(
-            rng,
-            DARK,
-            [(0, -0.11), (0.2, -0.11)],
-            tyre,
-            [(0.2, 0.11), (0.19, 0.07)],
-            [(0.19, 0.07), (0, 0.07)],
-        )
-    ]
-    meshes.append(cylinder(rng, YELLOW, 0.17, 0.0, 0.11))
-    parts = [rigid(mesh, pose) for mesh in meshes]
-    for k in range(3):
-        bolt = shift(0.1 * np.cos(2.1 * k), 0.1 * np.sin(2.1 * k), 0.11)
-        parts.append(rigid(ball(rng, (RED, BLUE, GREY)[k], 0.035), lambda time, bolt=bolt: pose(time) @ bolt))
-    return parts
 
 
 def robot(rng: np.random.Generator, motion_scale: float) -> Model:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devrf.lab.simulate.scenes.growths import flower, glove
-from devrf.lab.simulate.scenes.machines import arm, robot, vehicle
+from devrf.lab.simulate.scenes.growths import flower
+from devrf.lab.simulate.scenes.machines import arm, robot
 from devrf.lab.simulate.scenes.shapes import Model
 
 
@@ -26,9 +26,7 @@ class ModelKind:
 
 
 MODELS = {
-    "vehicle": ModelKind("a toy dump truck that tilts its bed, steers and turns its wheels", vehicle, -60.0),
     "robot": ModelKind("a toy robot whose rigid parts drift and turn apart", robot, -20.0),
     "flower": ModelKind("a flower in a pot that bends and opens", flower, -50.0),
-    "glove": ModelKind("a hand in a glove that closes to a fist", glove, -70.0),
     "arm": ModelKind("a robot arm that swings, reaches out and closes its gripper", arm, -75.0),
 }

@@ -1,6 +1,6 @@
 """Objects that deform: a sheet, whole or cut into strips, and a soft column.
 
-Those that change are in `changing.py`, those of several bodies in `bodies.py`.
+The one that changes is in `changing.py`, those of several bodies in `bodies.py`.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import numpy as np
 
 from devrf.lab.simulate.scenes.bodies import blocks, figure, leaving, plant, rod
 from devrf.lab.simulate.scenes.catalogue import PRINT, WOOD, Mesh, MovingObject, box, texture
-from devrf.lab.simulate.scenes.changing import appearing, ease, parting, tumbling
+from devrf.lab.simulate.scenes.changing import changing, ease
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.scenes.shapes import quads
 
@@ -129,9 +129,7 @@ class ObjectKind:
 OBJECTS = {
     "sheet": ObjectKind("a cloth sheet that hangs from a bar and waves", _sheet),
     "column": ObjectKind("a soft column that bends, twists and is squashed", _column),
-    "appearing": ObjectKind("a ball that is not there at rest and grows out of nothing", appearing),
-    "parting": ObjectKind("a block that splits into two halves, which move apart", parting),
-    "tumbling": ObjectKind("a block that turns over and shows the side that it stood on", tumbling),
+    "changing": ObjectKind("a ball that appears, a block that splits, or one that turns over", changing),
     "blocks": ObjectKind("a block that pushes another, and that one a ball", blocks),
     "figure": ObjectKind("a person who walks", figure),
     "plant": ObjectKind("a flower on a table that bends over and rises again", plant),

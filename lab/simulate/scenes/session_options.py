@@ -57,6 +57,8 @@ class SessionOptions(BaseModel):
     """Contrast of all textures of the room and of the object; 0 gives blank walls."""
     strip_m: float = Field(default=0.0, ge=0, le=0.2)
     """Width of the strips that the sheet is cut into, metres, with gaps as wide; 0 leaves it whole."""
+    change: Literal["appear", "part", "tumble"] = "appear"
+    """What the object `changing` does: a ball grows out of nothing, a block splits in two, or one turns over."""
     gloss: float = Field(default=0.0, ge=0, le=1)
     """Share of the light that the object mirrors, as lacquer does."""
     clear: float = Field(default=0.0, ge=0, le=1)
