@@ -4,6 +4,8 @@ A scene.yaml with one of them is refused like one with any other unknown key, bu
 """
 
 GONE: dict[str, str] = {
+    "cache": "finished stages are kept in their run folder alone; remove the section, and give settings that are to be "
+    "compared an output each",
     "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key, and see "
     "`mapper: both` for a comparison",
     "capture.raw.keep_linear": "pictures in linear light are no longer kept; remove the key, and develop the RAW files "

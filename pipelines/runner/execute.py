@@ -84,7 +84,6 @@ def _run_logged(run: Run, workspace: Workspace) -> int:
         code=code,
         seconds=round(time.monotonic() - start, 3),
         executed=run.executed,
-        taken=run.taken,
     )
     return code
 
@@ -115,7 +114,7 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
 
 def _run_stages(run: Run, workspace: Workspace) -> int:
     start = time.monotonic()
-    budget = Budget(run.config, run.scene_dir, run.run_dir)
+    budget = Budget(run.config, run.run_dir)
     left: list[str] = []  # optional stages for which there is no time
     for number, stage in enumerate(run.stages, 1):
         if not is_chosen(stage.name, run.stages, run.choice):
@@ -127,10 +126,8 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             run.talk.event("stage_skipped", stage=stage.name, state=now.state, why=list(now.why))
             run.talk.say(skip_line(now), style="dim")
         else:
-            _keep(run, stage)
             why = "; ".join(now.why) or "forced"
-            from_cache = now.cached is not None and not is_forced(stage.name, run.choice)
-            late = None if from_cache else budget.late(stage.name, _to_come(run, stage))
+            late = budget.late(stage.name, _to_come(run, stage))
             if late is not None and stage.name == OPTIONAL:
                 run.talk.say(f"{stage.name}: left for later: {late}", style="yellow")
                 left.append(stage.name)
@@ -138,12 +135,11 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             if late is not None:
                 run.talk.error(late, "out-of-time")
                 return FAILED
-            does = "taken from the cache" if from_cache else "runs"
-            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
+            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: runs: {why}", style="bold")
             run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
             tell(stage=stage.name)
             try:
-                code = _run_stage(run, workspace, now, from_cache, budget)
+                code = _run_stage(run, workspace, now, budget)
             finally:
                 tell(stage=None)
             if code is not None:
@@ -153,14 +149,11 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             run.talk.event(
                 "stage_finished",
                 stage=stage.name,
-                from_cache=stage.name in run.taken,
                 id=stamp.get("id"),
                 seconds=now.seconds,
                 peak_rss_gb=stamp.get("peak_rss_gb"),
             )
-            if stage.name in run.executed:
-                run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
-                _keep(run, stage)
+            run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
         if now.state == "fresh":
             run.fresh.append(stage.name)
             for of_earlier_tries in (error_path, forced_path):
@@ -168,9 +161,12 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
         code = _judge(run, now)
         if code is not None:
             return code
-    made = [(len(run.executed), "executed"), (len(run.taken), "taken from the cache")]
-    counts = [f"{count} stage{'s' if count != 1 else ''} {how}" for count, how in made if count]
-    what = ", ".join(counts) or "nothing changed, no stage executed"
+    count = len(run.executed)
+    what = (
+        f"{count} stage{'s' if count != 1 else ''} executed"
+        if count
+        else "nothing changed, no stage executed"
+    )
     run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
     if left:
         what = f"out of time: {', '.join(left)} is left; run again, or raise budget.time_minutes"
@@ -204,8 +200,8 @@ def _judge(run: Run, now: Standing) -> int | None:
     return UNHEALTHY
 
 
-def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, budget: Budget) -> int | None:
-    """Make one stage, or take it from the cache. None where it is finished, else the exit code."""
+def _run_stage(run: Run, workspace: Workspace, now: Standing, budget: Budget) -> int | None:
+    """Make one stage. None where it is finished, else the exit code."""
     stage, made_from = now.stage, now.made_from
     assert made_from is not None  # all that it reads has been made
     folder: Path | None = None
@@ -215,12 +211,6 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
             remember_forced(run.run_dir, stage.name)
         folder = workspace.new_folder(stage.name)
         folder.mkdir()
-        if from_cache and run.cache is not None:
-            if run.cache.take(stage, made_from, folder):
-                workspace.commit(stage.name, folder)
-                run.taken.append(stage.name)
-                return None
-            run.talk.say(f"  {stage.name}: runs: what the cache had is damaged or gone")
         say = partial(run.talk.decision, stage.name)
         start = time.monotonic()
         with run.talk.progress(stage.name) as progress:
@@ -260,15 +250,6 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
         if not isinstance(error, OutOfTime):
             remember_error(run.run_dir, stage.name, message, code, of_error)
         return code
-
-
-def _keep(run: Run, stage: Stage) -> None:
-    """Keep a finished stage in the cache, if there is one; without room there the run goes on."""
-    if run.cache is not None:
-        try:
-            run.cache.keep(stage, run.run_dir / stage.name)
-        except OSError as error:
-            run.talk.say(f"  {stage.name}: not kept in the cache {run.cache.folder}: {error}", style="yellow")
 
 
 def _sane(progress: Progress) -> Progress:

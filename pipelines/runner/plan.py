@@ -1,6 +1,6 @@
 """Which stages run, and why: the one place that compares stamps, for `run`, `--dry-run` and `status`."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Literal
 from devrf.capture.durable import read_json, sync, write_json
 from devrf.pipelines.health.rows import HealthRow, Verdict, worst
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamps.cache import Cache
 from devrf.pipelines.stamps.digests import Digests
 from devrf.pipelines.stamps.reasons import why_stale
 from devrf.pipelines.stamps.stamp import HEALTH, identity, read_stamp, stamp_id
@@ -51,7 +50,6 @@ class Standing:
         error: Why it failed when it was last tried, if it did.
         made_from: What it would be made from now (`identity`); None where that depends on stages that run before it,
             or where the stage does not apply.
-        cached: Content of the same stage in the cache, where it need not run.
     """
 
     stage: Stage
@@ -61,12 +59,11 @@ class Standing:
     health: tuple[HealthRow, ...] = ()
     error: str | None = None
     made_from: dict | None = None
-    cached: str | None = None
 
     @property
     def to_make(self) -> bool:
-        """Whether nothing else than running it gives what is needed."""
-        return self.state in ("stale", "missing") and self.cached is None
+        """Whether it has to run."""
+        return self.state in ("stale", "missing")
 
     @property
     def verdict(self) -> Verdict | None:
@@ -81,9 +78,7 @@ def standing(
     scene_dir: Path,
     run_dir: Path,
     digests: Digests,
-    cache: Cache | None = None,
     will_run: Collection[str] = (),
-    expected: Mapping[str, str] | None = None,
     *,
     whole: bool = False,
 ) -> Standing:
@@ -96,20 +91,17 @@ def standing(
         scene_dir: Folder of scene.yaml.
         run_dir: The run folder.
         digests: Source of content digests.
-        cache: Where it may be found instead of made.
         will_run: Stages known to run before it; what reads them is stale, unless they come out the same.
-        expected: Content of stages that will be there before it, by name.
         whole: Whether its files are known to be as they were left: it has only just been made.
     """
     reason = stage.applies(config)
     if reason is not None:
         return Standing(stage, "not applicable", (reason,))
     reads = reads_of(stage, stages, config)
-    made_from = identity(stage, config, scene_dir, run_dir, reads, digests, expected)
+    made_from = identity(stage, config, scene_dir, run_dir, reads, digests)
     folder = run_dir / stage.name
     stamp = read_stamp(folder)
     unknown = [name for name in reads if name in will_run]
-    asked = not unknown  # whether the cache may have it
     if stamp is None:
         state, why = "missing", ["not made yet"]
     else:
@@ -121,11 +113,8 @@ def standing(
         now = made_from | {"reads": known}
         why = why_stale(stage, folder, stamp, now, None if whole else digests)
         why += [f"{name} runs" for name in unknown]
-        again = _is_to_be_forced(run_dir, stage.name, stamp)
-        why += ["forced before, and not finished"] if again else []
+        why += ["forced before, and not finished"] if _is_to_be_forced(run_dir, stage.name, stamp) else []
         state = "stale" if why else "fresh"
-        asked = asked and not again
-    cached = cache.has(stage, made_from) if cache is not None and asked and why else None
     return Standing(
         stage,
         state,
@@ -134,7 +123,6 @@ def standing(
         read_health(folder),
         last_error(run_dir, stage.name),
         None if unknown else made_from,
-        cached,
     )
 
 
@@ -145,7 +133,6 @@ def standings(
     run_dir: Path,
     choice: Choice | None = None,
     digests: Digests | None = None,
-    cache: Cache | None = None,
 ) -> list[Standing]:
     """Where every stage stands, what must run before it considered.
 
@@ -154,18 +141,13 @@ def standings(
     choice = choice or Choice()
     digests = digests or Digests(run_dir)
     will_run: set[str] = set()
-    expected: dict[str, str] = {}
     found = []
     for stage in stages:
-        now = standing(stage, stages, config, scene_dir, run_dir, digests, cache, will_run, expected)
-        if now.state in ("fresh", "stale", "missing") and is_forced(stage.name, choice):
-            why = ("forced",) if now.state == "fresh" else now.why
-            now = replace(now, state="stale" if now.state == "fresh" else now.state, why=why, cached=None)
-        if now.state in ("stale", "missing") and is_chosen(stage.name, stages, choice):
-            if now.cached is None:
-                will_run.add(stage.name)
-            else:
-                expected[stage.name] = now.cached
+        now = standing(stage, stages, config, scene_dir, run_dir, digests, will_run)
+        if now.state == "fresh" and is_forced(stage.name, choice):
+            now = replace(now, state="stale", why=("forced",))
+        if now.to_make and is_chosen(stage.name, stages, choice):
+            will_run.add(stage.name)
         found.append(now)
     return found
 

@@ -11,7 +11,6 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.logs import new_run_name
 from devrf.pipelines.runner.plan import Choice, Standing, is_chosen, standing, standings
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamps.cache import Cache, cache_of, check_cache
 from devrf.pipelines.stamps.digests import Digests
 
 if TYPE_CHECKING:
@@ -33,7 +32,6 @@ class Run:
         device: "cpu" or "cuda".
         name: Its name in logs, events and stamps.
         executed: The stages that were made.
-        taken: The stages that were taken from the cache.
         fresh: Those, and the ones that were skipped because nothing they depend on has changed.
     """
 
@@ -45,7 +43,6 @@ class Run:
     device: str = "cpu"
     name: str = field(default_factory=new_run_name)
     executed: list[str] = field(default_factory=list)
-    taken: list[str] = field(default_factory=list)
     fresh: list[str] = field(default_factory=list)
 
     @property
@@ -58,23 +55,9 @@ class Run:
         """Content digests, remembered from one look at the files to the next."""
         return Digests(self.run_dir)
 
-    @cached_property
-    def cache(self) -> Cache | None:
-        """Where finished stages are kept.
-
-        Raises:
-            InputError: The folder is no cache.
-        """
-        cache = cache_of(self.config, self.scene_dir)
-        if cache is not None:
-            check_cache(cache, self.run_dir)
-        return cache
-
     def standings(self) -> list[Standing]:
         """Where every stage stands."""
-        return standings(
-            self.stages, self.config, self.scene_dir, self.run_dir, self.choice, self.digests, self.cache
-        )
+        return standings(self.stages, self.config, self.scene_dir, self.run_dir, self.choice, self.digests)
 
     def standing(self, stage: Stage, *, whole: bool = False) -> Standing:
         """Where one stage stands, those before it as they are, its files unread where they are known to be `whole`."""
@@ -85,7 +68,6 @@ class Run:
             self.scene_dir,
             self.run_dir,
             self.digests,
-            self.cache,
             whole=whole,
         )
 
@@ -155,8 +137,7 @@ def dry_run(run: Run, found: Sequence[Standing]) -> None:
         elif now.state in ("fresh", "not applicable"):
             run.talk.say(skip_line(now))
         else:
-            would = "run" if now.cached is None else "be taken from the cache"
-            run.talk.say(f"{name}: would {would}: {'; '.join(now.why)}")
+            run.talk.say(f"{name}: would run: {'; '.join(now.why)}")
 
 
 def skip_line(now: Standing) -> str:

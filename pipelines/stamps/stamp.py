@@ -10,7 +10,7 @@ differ by rounding there, and nobody wants to lose a night's training to that.
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +40,6 @@ def identity(
     run_dir: Path,
     reads: Iterable[str],
     digests: Digests,
-    expected: Mapping[str, str] | None = None,
 ) -> dict:
     """What a stage's result depends on, as far as it can be known now.
 
@@ -51,7 +50,6 @@ def identity(
         run_dir: The run folder; stages it reads may or may not have been made.
         reads: Names of the stages it reads that apply to this configuration.
         digests: Source of content digests.
-        expected: Content that stages will have which are not made yet, by name.
     """
     from devrf.pipelines.config.files import input_paths
 
@@ -74,7 +72,6 @@ def identity(
     version_of = stamp_id if stage.quotes_stamps else stamp_content
     made = {name: version_of(run_dir / name) for name in reads}
     code = code_of_stage(stage, config)
-    made |= {name: content for name, content in (expected or {}).items() if name in made}
     return {
         "config": values,
         "inputs": inputs,
@@ -187,11 +184,6 @@ def is_whole(stamp: dict) -> bool:
         and isinstance(files, dict)
         and all(isinstance(entry, list) and tuple(map(type, entry)) == (int, str) for entry in files.values())
     )
-
-
-def size_in(stamp: dict) -> int | None:
-    """Bytes of all files that a stamp names; None where it is not whole."""
-    return sum(size for size, _ in stamp["files"].values()) if is_whole(stamp) else None
 
 
 def damage(folder: Path, stamp: dict, digests: Digests) -> list[str]:

@@ -153,7 +153,7 @@ def test_options_and_keys_in_sentences_exist(page: Path) -> None:
         if re.match(r"--[a-z]", code):
             assert code.split()[0] in options, f"{page.name}: {code}"
         key = re.fullmatch(
-            r"(?:capture|dataset|calibration|flow|reconstruct|budget|cache|evaluate)\.[a-z_.]+", code
+            r"(?:capture|dataset|calibration|flow|reconstruct|budget|evaluate)\.[a-z_.]+", code
         )
         if key and not code.endswith((".py", ".json", ".toml", ".mp4")):
             assert code in ROWS or code in GONE, f"{page.name}: {code} is no key"

@@ -72,7 +72,7 @@ def test_the_suite_writes_rows_and_a_chart(suite: Suite) -> None:
 def test_damage_gets_in_behind_its_stage_and_what_is_before_is_shared(suite: Suite) -> None:
     out, _, _ = suite
     calm, flow, poses = (out / f"{n}/seed0/run" for n in ("undisturbed-0", "flow_wrong-100", "pose_noise-16"))
-    assert _file(calm / "scene/scene.json") == _file(flow / "scene/scene.json")  # one file in the cache
+    assert _file(calm / "scene/scene.json") == _file(flow / "scene/scene.json")  # one file
     before, after = read_flows(calm / "flow"), read_flows(flow / "flow")
     for name, right in before.items():
         wrong = after[name]
@@ -175,7 +175,7 @@ def test_a_failed_run_goes_on_once_the_damage_is_gone_and_reaches_the_undisturbe
     calm = out / "undisturbed-0/seed0/run"
     stopped, run_dir = run_case(base, out, "lost", 1.0, 0, read_scene(calm / "scene"))
     assert stopped.stopped == "flow: all flow is lost" and not (run_dir / last).exists()
-    config = base.config.model_copy(update={"output": str(run_dir)})  # and no cache to take the answer from
+    config = base.config.model_copy(update={"output": str(run_dir)})
     mended = Run(config, base.scene_dir, STAGES, Choice(last="evaluate", allow_unhealthy=True), Talk("quiet"))
     assert execute(mended) == 0
     assert mended.executed == ["flow", "canonical", "deformation", "evaluate"]

@@ -1,12 +1,15 @@
 """One case: the real pipeline on a damaged scene, in a run folder of its own, and what came of it.
 
-What cases have in common is made once: all keep their stages in one cache, and a stage behind which damage is done has
-the damage among its inputs, so that stamps and cache tell it from the real one. A stage that fails is a result; a fault
-of the program or of the machine (no memory, a full disk) is none and ends the suite, which goes on later.
+What cases have in common is made once: each begins with hard links to the undisturbed case's stages, and a stage behind
+which damage is done has the damage among its inputs, so that stamps tell it from the real one. A stage that fails is a
+result; a fault of the program or of the machine (no memory, a full disk) is none and ends the suite, which goes on
+later.
 """
 
 import json
+import os
 import re
+import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +23,6 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.bench.stability.axes import AXES
 from devrf.pipelines.bench.stability.damage.intact import Damage, Intact
-from devrf.pipelines.config.scene import CacheConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
 from devrf.pipelines.health.rows import Verdict
@@ -37,7 +39,6 @@ from devrf.reconstruct.evaluate import motion_psnr
 
 LAST = "evaluate"  # what follows shows the result and does not change it
 UNDISTURBED = "undisturbed"
-CACHE_GB = 100.0
 _OF_WHICH = re.compile(r" \([^()]*\)$")  # behind a check's name: its worst camera
 
 
@@ -121,10 +122,10 @@ def run_case(
     """
     folder = _folder(out, axis, severity, seed)
     folder.mkdir(parents=True, exist_ok=True)
+    _begin_with_links(folder, _undisturbed_runs(out, seed))
     config = base.config.model_copy(
         update={
             "output": str((folder / "run").resolve()),
-            "cache": CacheConfig(folder=str((out / "cache").resolve()), max_gb=CACHE_GB),
             "reconstruct": base.config.reconstruct.model_copy(update={"seed": seed}),
             # A slow machine breaks nothing.
             "budget": base.config.budget.model_copy(update={"time_minutes": None}),
@@ -217,6 +218,24 @@ def _result(
 def is_made(out: Path, axis: str, severity: float, seed: int) -> bool:
     """Whether a case was run to its end already; it may have to be run again all the same."""
     return (_folder(out, axis, severity, seed) / "run" / LAST / "stamp.json").is_file()
+
+
+def _undisturbed_runs(out: Path, seed: int) -> list[Path]:
+    """Run folders of undisturbed cases, that of the same seed first: of others all that precedes training is shared."""
+    same = _folder(out, UNDISTURBED, 0.0, seed) / "run"
+    return [run for run in (same, *sorted(out.glob(f"{UNDISTURBED}-*/seed*/run"))) if run.is_dir()]
+
+
+def _begin_with_links(folder: Path, runs: Sequence[Path]) -> None:
+    """Fill the run folder of a case that has none with hard links to a run's finished stages, all of them or none."""
+    if not runs or (folder / "run").exists():
+        return
+    new = folder / "run.new"
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir()
+    for stamp in runs[0].glob("*/stamp.json"):
+        shutil.copytree(stamp.parent, new / stamp.parent.name, copy_function=os.link)
+    new.rename(folder / "run")
 
 
 def _folder(out: Path, axis: str, severity: float, seed: int) -> Path:
