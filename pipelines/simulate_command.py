@@ -34,8 +34,8 @@ class Protocol:
 
 
 def session_code() -> str:
-    """Version of the code that renders sessions: of the sources that it needs, not of the renderer's library."""
-    return code_version(simulate_session.__module__)
+    """Version of the code that renders sessions: of the simulator's sources, not of the renderer's library."""
+    return code_version("capture/simulate")
 
 
 def _session(out: Path, scene: str, **arguments: Any) -> Path:

@@ -53,7 +53,7 @@ class Bench:
         out: Where the benchmark writes: a run folder with models of every seed beside the stages.
         scene: Calibrated.
         flows: Backward flow by camera.
-        changed_by: Module that made `scene` of the one on disk; None: nothing did. Its version tells trainings apart.
+        changed_by: Module that made `scene` of the one on disk; None: nothing did. It tells trainings apart.
     """
 
     run: Run
@@ -196,8 +196,7 @@ class Bench:
     def _fingerprint(self, *parts: Any) -> str:
         stamps = [(self.run.run_dir / name / STAMP).read_text() for name in ("scene", "flow")]
         plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
-        code = [code_version(f.__module__) for f in (train_canonical, train_deformation, evaluate)]
-        code += [code_version(self.changed_by)] if self.changed_by is not None else []
+        code = [code_version("capture", "flow", "reconstruct"), self.changed_by]
         return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
 
 

@@ -2,9 +2,10 @@
 
 A stamp holds the configuration values the stage depends on, content digests of the raw files among them (so touching,
 renaming or moving a file changes nothing), the content of each stage it read (so a stage that was made again and came
-out the same makes nothing else stale), the files of code and the libraries that worked, and size and digest of every
-file it left. Times are for people; they decide nothing. Nor do the device, Python's version or the machine: results
-differ by rounding there, and nobody wants to lose a night's training to that.
+out the same makes nothing else stale), the version of the program and of the libraries that worked, the code of the
+rooms that the stage may import, and size and digest of every file it left. Times are for people; they decide nothing.
+Nor do the device, Python's version or the machine: results differ by rounding there, and nobody wants to lose a night's
+training to that.
 """
 
 import hashlib
@@ -14,6 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import devrf
 from devrf.capture.durable import parse_json
 from devrf.capture.limits import is_device
 from devrf.pipelines.stage import Stage
@@ -30,7 +32,7 @@ IN_ORDER = ("capture.cameras",)  # sections whose order counts: the first camera
 
 def code_of_stage(stage: Stage, config: "SceneConfig") -> Code:
     """The code that makes a stage."""
-    return code_of(stage.module, stage.plug_ins(config))
+    return code_of(stage.name, stage.rooms, stage.plug_ins(config))
 
 
 def identity(
@@ -77,8 +79,10 @@ def identity(
         "inputs": inputs,
         "places": places,
         "reads": made,
-        "code": code.sources,
-        "libraries": {name: series(version) for name, version in code.libraries.items()},
+        "rooms": code.rooms,
+        "libraries": {
+            name: series(version) for name, version in {"devrf": devrf.__version__, **code.libraries}.items()
+        },
     }
 
 

@@ -23,7 +23,6 @@ from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import CaptureConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.simulate_command import session_code, simulate
-from devrf.pipelines.stamps.code_version import sources
 
 REAL = (
     "{name: real, capture: {static: static.mp4, cameras: {cam0: a.mp4, cam1: b.mp4}, test_cameras: [cam1]}}"
@@ -134,13 +133,6 @@ def test_a_session_of_another_version_of_the_simulator_is_not_compared_with_this
         of_the_suite(tmp_path, Talk("quiet"))
     with refused("session-outdated", kind=DoesNotApply):
         damaged()
-
-
-def test_the_version_is_that_of_what_sessions_are_rendered_by() -> None:
-    """Every module that draws them, and neither the data sets' simulator nor what reads sessions."""
-    modules = {name.removeprefix("devrf.capture.") for name in sources("devrf.capture.simulate.session")}
-    assert modules >= {f"simulate.{name}" for name in ("rig", "renderer", "objects", "sensor", "sound")}
-    assert not modules & {"simulate.dataset", "simulate.forward", "simulate.damage", "clips", "video"}
 
 
 def test_a_truth_that_does_not_say_how_is_none(tmp_path: Path) -> None:

@@ -292,7 +292,7 @@ def test_a_stamp_of_an_earlier_version_is_told_from_this(folder: Path) -> None:
     executed(folder)
     path = folder / "run/first/stamp.json"
     old = json.loads(path.read_text())
-    del old["identity"]["libraries"]
+    del old["identity"]["rooms"]
     path.write_text(json.dumps(old))
     assert stand(folder)["first"].why == (
         "made by a version of the program that knew less of what it was made from",

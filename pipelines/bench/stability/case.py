@@ -259,7 +259,7 @@ def _watched(stage: Stage, refusals: list[DevrfError]) -> Stage:
 def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:
     """The stage, and damage behind it."""
     file = folder / "damage.json"
-    code = code_version(AXES[axis].damaging.__module__)
+    code = code_version("pipelines/bench/stability/damage")
     file.write_text(json.dumps({"axis": axis, "severity": severity, "seed": seed, "code": code}))
 
     def run(context: Any) -> None:

@@ -147,7 +147,7 @@ def _written(intact: Intact, source: Path, target: Path, write: Callable[[Path, 
     """
     said = target.with_suffix(".json")
     of = {
-        "code": code_version(__name__),
+        "code": code_version("pipelines/bench/stability/damage"),
         "severity": intact.severity,
         "seed": intact.seed,
         "cameras": intact.cameras,
