@@ -48,15 +48,13 @@ class BatchScene:
         path: Its scene.yaml.
         config: What it says; None where it cannot be used.
         problem: Why it cannot be used.
-        standing: Where its stages that are to run stand.
-        digests: Of its raw files, once they were looked at.
+        standing: Where its stages that belong to the batch stand.
     """
 
     path: Path
     config: SceneConfig | None = None
     problem: str | None = None
     standing: list[Standing] = field(default_factory=list)
-    digests: Digests | None = None
 
     @property
     def scene_dir(self) -> Path:
@@ -82,58 +80,49 @@ class BatchScene:
 
     @property
     def to_do(self) -> list[str]:
-        """Stages that are to be made."""
-        return [now.stage.name for now in self.standing if now.to_make]
+        """Stages that are to be made, and those behind the first of them, which cost nothing to pass."""
+        first = next((n for n, now in enumerate(self.standing) if now.to_make), len(self.standing))
+        return self.stages[first:]
 
 
-def look(paths: Sequence[Path], options: Options, *, unique_names: bool = False) -> list[BatchScene]:
+def look(paths: Sequence[Path], options: Options) -> list[BatchScene]:
     """Read and check every scene; what is wrong with one stands in its `problem`.
 
     Args:
         paths: scene.yaml files, or the folders that hold them.
         options: What they are to be run with.
-        unique_names: Whether two scenes may not have one name (in a store they lie by their names).
     """
     scenes = [_read(path, options) for path in paths]
     _refuse_twice(scenes, "the same scene", "name it once", lambda scene: scene.path)
     _refuse_twice(
         scenes, "the same run folder", "give each its own output", lambda scene: scene.run_dir or scene.path
     )
-    if unique_names:
-        _refuse_twice(
-            scenes,
-            "the same name",
-            "give each its own name",
-            lambda scene: scene.config.folder_name if scene.config is not None else scene.path,
-        )
     return scenes
 
 
-def stand(scene: BatchScene, options: Options, seen_in: Path) -> None:
+def stand(scene: BatchScene, options: Options) -> None:
     """Find out what a scene still needs, and whether its files are fit for that.
 
     Args:
-        scene: Its `standing`, `digests` and `problem` are set.
+        scene: Its `standing` and `problem` are set.
         options: What it is to be run with.
-        seen_in: Folder with the stamps of its stages.
     """
     if scene.config is None or scene.run_dir is None or scene.problem is not None:
         return
-    choice = Choice(last=options.until)
-    scene.digests = Digests(seen_in)
-    found = standings(STAGES, scene.config, scene.scene_dir, seen_in, choice, scene.digests)
+    choice, digests = Choice(last=options.until), Digests(scene.run_dir)
+    found = standings(STAGES, scene.config, scene.scene_dir, scene.run_dir, choice, digests)
     scene.standing = [
         now for now in found if is_chosen(now.stage.name, STAGES, choice) and now.state != "not applicable"
     ]
-    if scene.to_do:
+    if to_make := [now.stage.name for now in scene.standing if now.to_make]:
         try:
             check_folder(scene.run_dir, "output:")
-            check_inputs(scene.config, scene.scene_dir, scene.to_do)
+            check_inputs(scene.config, scene.scene_dir, to_make)
             with contextlib.suppress(OSError):  # its run will say so
-                seen_in.mkdir(parents=True, exist_ok=True)  # its run finds the digests there
+                scene.run_dir.mkdir(parents=True, exist_ok=True)  # its run finds the digests there
         except InputError as error:
             scene.problem = str(error)
-    scene.digests.save()
+    digests.save()
 
 
 def _read(path: Path, options: Options) -> BatchScene:

@@ -14,7 +14,7 @@ import yaml
 from tests.docs.pages import PAGES, PROGRAM, REPOSITORY, anchors, blocks, calls, links, prose
 
 from devrf.pipelines.cli import app
-from devrf.pipelines.config.gone import GONE
+from devrf.pipelines.config.gone import GONE, GONE_OPTIONS
 from devrf.pipelines.config.load import load_scene
 
 DOCS = REPOSITORY / "docs"
@@ -136,6 +136,7 @@ def test_commands_and_options_exist(page: Path) -> None:
         for name, words in alternatives(call):
             assert name in COMMANDS or name == "COMMAND", f"{call}: there is no command {name}"
             said = {word.strip("[]") for word in words if word.strip("[").startswith("--")}
+            said -= {gone.split()[-1] for gone in GONE_OPTIONS if gone.startswith(f"{name} ")}
             assert said <= COMMANDS.get(name, {"--help"}), f"{call}: {said - COMMANDS.get(name, set())}"
 
 
@@ -149,6 +150,7 @@ def test_calls_are_found() -> None:
 @each_page
 def test_options_and_keys_in_sentences_exist(page: Path) -> None:
     options = {"--version"} | OF_OTHERS | set().union(*COMMANDS.values())
+    options |= {gone.split()[-1] for gone in GONE_OPTIONS}
     for code in re.findall(r"`([^`\n]+)`", prose(page)):
         if re.match(r"--[a-z]", code):
             assert code.split()[0] in options, f"{page.name}: {code}"
