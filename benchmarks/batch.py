@@ -82,7 +82,7 @@ def _look_s(folder: Path) -> float:
 
 def _stand(paths: list[Path]) -> None:
     for scene in look(paths, Options()):
-        stand(scene, Options())
+        stand(scene)
         if not scene.stages or scene.to_do:
             raise SystemExit(f"{scene.path}: {', '.join(scene.to_do)} would be made again")
 

@@ -93,7 +93,7 @@ def _row(scene: BatchScene, options: Options) -> SceneRow:
     row = SceneRow(str(scene.path), scene.name, None if scene.run_dir is None else str(scene.run_dir))
     if scene.run_dir is not None and scene.problem is None:
         try:
-            stand(scene, options)
+            stand(scene)
             row.look(scene.run_dir, scene.stages)
         except DevrfError as error:
             row.end(code_of(error), str(error))

@@ -9,12 +9,11 @@ from pathlib import Path
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.writable import check_folder
 from devrf.pipelines.cli_options import configured
-from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.console import Talk
 from devrf.pipelines.preflight import check_inputs
-from devrf.pipelines.runner.plan import Choice, Standing, is_chosen, standings
-from devrf.pipelines.runner.run import check_choice
+from devrf.pipelines.runner.plan import Choice, Standing
+from devrf.pipelines.runner.run import Run, check_choice
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamps.digests import Digests
 
 
 @dataclass(frozen=True)
@@ -46,13 +45,13 @@ class BatchScene:
 
     Attributes:
         path: Its scene.yaml.
-        config: What it says; None where it cannot be used.
+        run: What it asks for; None where it cannot be used.
         problem: Why it cannot be used.
         standing: Where its stages that belong to the batch stand.
     """
 
     path: Path
-    config: SceneConfig | None = None
+    run: Run | None = None
     problem: str | None = None
     standing: list[Standing] = field(default_factory=list)
 
@@ -64,14 +63,14 @@ class BatchScene:
     @property
     def name(self) -> str:
         """As its scene.yaml says, else as the file or its folder is called."""
-        if self.config is not None:
-            return self.config.name
+        if self.run is not None:
+            return self.run.config.name
         return self.scene_dir.name if self.path.stem == "scene" else self.path.stem
 
     @property
     def run_dir(self) -> Path | None:
         """The run folder."""
-        return None if self.config is None else self.config.run_dir(self.scene_dir)
+        return None if self.run is None else self.run.run_dir
 
     @property
     def stages(self) -> list[str]:
@@ -100,37 +99,31 @@ def look(paths: Sequence[Path], options: Options) -> list[BatchScene]:
     return scenes
 
 
-def stand(scene: BatchScene, options: Options) -> None:
-    """Find out what a scene still needs, and whether its files are fit for that.
-
-    Args:
-        scene: Its `standing` and `problem` are set.
-        options: What it is to be run with.
-    """
-    if scene.config is None or scene.run_dir is None or scene.problem is not None:
+def stand(scene: BatchScene) -> None:
+    """Find out what a scene still needs, and whether its files are fit for that: sets `standing` and `problem`."""
+    run = scene.run
+    if run is None or scene.problem is not None:
         return
-    choice, digests = Choice(last=options.until), Digests(scene.run_dir)
-    found = standings(STAGES, scene.config, scene.scene_dir, scene.run_dir, choice, digests)
-    scene.standing = [
-        now for now in found if is_chosen(now.stage.name, STAGES, choice) and now.state != "not applicable"
-    ]
+    found = run.standings()
+    scene.standing = [now for now in found if run.chosen(now.stage.name) and now.state != "not applicable"]
     if to_make := [now.stage.name for now in scene.standing if now.to_make]:
         try:
-            check_folder(scene.run_dir, "output:")
-            check_inputs(scene.config, scene.scene_dir, to_make)
+            check_folder(run.run_dir, "output:")
+            check_inputs(run.config, run.scene_dir, to_make)
             with contextlib.suppress(OSError):  # its run will say so
-                scene.run_dir.mkdir(parents=True, exist_ok=True)  # its run finds the digests there
+                run.run_dir.mkdir(parents=True, exist_ok=True)  # its run finds the digests there
         except InputError as error:
             scene.problem = str(error)
-    digests.save()
+    run.digests.save()
 
 
 def _read(path: Path, options: Options) -> BatchScene:
     scene = BatchScene((path / "scene.yaml" if path.is_dir() else path).resolve())
     try:
-        config, _ = configured(scene.path, options.preset, options.overrides)
-        check_choice(config, STAGES, Choice(last=options.until))
-        scene.config = config
+        config, scene_dir = configured(scene.path, options.preset, options.overrides)
+        run = Run(config, scene_dir, STAGES, Choice(last=options.until), Talk("quiet"))
+        check_choice(run)
+        scene.run = run
     except DevrfError as error:
         scene.problem = str(error)
     return scene

@@ -12,6 +12,7 @@ from devrf.pipelines.batch.rows import SceneRow
 from devrf.pipelines.batch.scenes import BatchScene, Options
 from devrf.pipelines.batch.task import Ended, Task
 from devrf.pipelines.exit_codes import FAILED
+from devrf.pipelines.runner.run import Run
 
 TICK_S = 0.5  # between two looks at what runs
 ATTEMPTS = 4  # of one task, three of them anew: whatever takes down so many nodes is the task
@@ -54,11 +55,11 @@ class Work:
 
     def _ended(self, scene: BatchScene, row: SceneRow) -> Ended:
         """Run a scene, and anew where its machine is lost."""
-        task, ended = self._task(scene), Ended(None)
+        assert scene.run is not None
+        task, ended = self._task(scene, scene.run), Ended(None)
         for attempt in range(1, ATTEMPTS + 1):
             ended = self._attempt(replace(task, attempt=attempt), row)
-            assert scene.run_dir is not None
-            row.look(scene.run_dir, scene.stages)
+            row.look(task.run_dir, scene.stages)
             if ended.code is not None:
                 return ended
             row.lost, row.state = row.lost + 1, "waiting"
@@ -66,14 +67,12 @@ class Work:
                 self.board.say(row, f"{ended.message}; begun anew elsewhere")
         return Ended(FAILED, f"lost {ATTEMPTS} machines ({ended.message}); look at their logs")
 
-    def _task(self, scene: BatchScene) -> Task:
-        config, run_dir = scene.config, scene.run_dir
-        assert config is not None and run_dir is not None
+    def _task(self, scene: BatchScene, run: Run) -> Task:
         gpu = self.engine.gpus > 0
         arguments = [*self.options.arguments(), "--device", "cuda" if gpu else "cpu"]
-        if config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
+        if run.config.budget.memory_gb is None:  # runs side by side must not each count on all that is free
             arguments += ["--set", f"budget.memory_gb={self.engine.memory_gb:.3f}"]
-        return Task(scene.path, run_dir, tuple(scene.to_do), tuple(arguments), self.engine.threads, gpu)
+        return Task(scene.path, run.run_dir, tuple(scene.to_do), tuple(arguments), self.engine.threads, gpu)
 
     def _attempt(self, task: Task, row: SceneRow) -> Ended:
         start_s: list[float] = []

@@ -5,7 +5,6 @@ import math
 import os
 import socket
 import time
-import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -16,24 +15,21 @@ from devrf.capture.errors import DevrfError, OutOfTime
 from devrf.capture.progress import Progress
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.console import duration
-from devrf.pipelines.disk_told import refused_by_system
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
 from devrf.pipelines.logs import Events, log_file
-from devrf.pipelines.runner.failure import explain, first_line, is_no_memory, unexpected
+from devrf.pipelines.runner.failure import explain
 from devrf.pipelines.runner.finish import finish
 from devrf.pipelines.runner.plan import (
     Standing,
     error_path,
     forced_path,
-    is_chosen,
-    is_forced,
     remember_error,
     remember_forced,
 )
 from devrf.pipelines.runner.run import Run, check_reads, skip_line
 from devrf.pipelines.runner.signals import stopped_by_signals
 from devrf.pipelines.runner.supervise import crash_log, tell
-from devrf.pipelines.runner.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
+from devrf.pipelines.runner.workspace import Workspace, free_bytes, size_of
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamps.stamp import read_stamp
 
@@ -99,17 +95,9 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
         run.talk.error("stopped; finished stages are kept, the next run goes on from there", "stopped")
         return STOPPED
     except Exception as error:
-        logger.debug("%s", "".join(traceback.format_exception(error)))
-        if is_disk_full(error):
-            run.talk.error(disk_full_message(run.run_dir, "the run", 0), "disk-full")
-        elif is_no_memory(error):
-            what = f"not enough memory to go on ({first_line(error)}); close other programs, then run again"
-            run.talk.error(what, "no-memory")
-        elif (refused := refused_by_system(error, run.run_dir)) is not None:
-            run.talk.error(f"{refused}: finished stages are kept", refused.code)
-        else:
-            run.talk.error(unexpected(run, error), "unexpected")
-        return FAILED
+        code, of_error, message = explain(run, None, error, 0, None)
+        run.talk.error(message, of_error)
+        return code
 
 
 def _run_stages(run: Run, workspace: Workspace) -> int:
@@ -117,12 +105,12 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
     budget = Budget(run.config, run.run_dir)
     left: list[str] = []  # optional stages for which there is no time
     for number, stage in enumerate(run.stages, 1):
-        if not is_chosen(stage.name, run.stages, run.choice):
+        if not run.chosen(stage.name):
             run.talk.detail(f"{stage.name}: left alone (outside --from and --until)")
             continue
         now = run.standing(stage)
         run.digests.save()
-        if now.state == "not applicable" or (now.state == "fresh" and not is_forced(stage.name, run.choice)):
+        if now.state == "not applicable" or (now.state == "fresh" and not run.forced(stage.name)):
             run.talk.event("stage_skipped", stage=stage.name, state=now.state, why=list(now.why))
             run.talk.say(skip_line(now), style="dim")
         else:
@@ -178,9 +166,7 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
 def _to_come(run: Run, stage: Stage) -> list[str]:
     """Names of a stage and of those that follow it in this run."""
     rest = run.stages[list(run.stages).index(stage) :]
-    return [
-        s.name for s in rest if s.applies(run.config) is None and is_chosen(s.name, run.stages, run.choice)
-    ]
+    return [s.name for s in rest if s.applies(run.config) is None and run.chosen(s.name)]
 
 
 def _judge(run: Run, now: Standing) -> int | None:
@@ -207,7 +193,7 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, budget: Budget) ->
     folder: Path | None = None
     context: StageContext | None = None
     try:
-        if is_forced(stage.name, run.choice):
+        if run.forced(stage.name):
             remember_forced(run.run_dir, stage.name)
         folder = workspace.new_folder(stage.name)
         folder.mkdir()

@@ -110,10 +110,10 @@ def test_the_files_of_a_fresh_scene_are_not_opened(whole: Path, monkeypatch: pyt
     monkeypatch.setattr(scenes, "check_folder", opened)
     options = Options()
     (scene,) = look([whole / "a"], options)
-    stand(scene, options)
+    stand(scene)
     assert scene.to_do == [] and len(scene.stages) == 5 and scene.problem is None
     (scene,) = look([whole / "a"], Options(overrides=("output=empty",)))
-    stand(scene, options)
+    stand(scene)
     assert scene.problem == "looked at"
 
 
@@ -125,7 +125,7 @@ def test_what_a_look_has_read_nobody_reads_again(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(digests, "_entry", lambda path: (read.append(path), entry(path))[1])
     for expected in (10, 0):
         (scene,) = look([tmp_path / "a"], Options())
-        stand(scene, Options())
+        stand(scene)
         assert len(read) == expected
         read.clear()
 

@@ -93,7 +93,7 @@ def worked(
     monkeypatch.setattr(local, "run_task", run)
     scenes = look([tiny_scene(folder, name) for name in names], Options())
     for scene in scenes:
-        stand(scene, Options())
+        stand(scene)
     rows = [SceneRow(str(scene.path), scene.name, None) for scene in scenes]
     board = Board(Talk("quiet"), folder, rows, "local")
     Work(Options(), pool, board).through(scenes)

@@ -16,7 +16,7 @@ from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice, standings
+from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
@@ -271,7 +271,7 @@ def test_reasons_say_what_happened(folder: Path) -> None:
 
     def why(*overrides: str) -> str:
         run = job(folder, stages, *overrides)
-        (now,) = standings(stages, run.config, folder, run.run_dir)
+        (now,) = run.standings()
         assert execute(run) == DONE
         return "; ".join(now.why)
 
