@@ -12,6 +12,7 @@ import re
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from devrf.pipelines.runner.plan import Choice, read_health
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.runner.workspace import is_disk_full
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
 from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import read_stamp
@@ -39,6 +40,7 @@ from devrf.reconstruct.evaluate import motion_psnr
 
 LAST = "evaluate"  # what follows shows the result and does not change it
 UNDISTURBED = "undisturbed"
+TRAINING = "canonical"  # what precedes it may be shared where damage is in the configuration or in raw files
 _OF_WHICH = re.compile(r" \([^()]*\)$")  # behind a check's name: its worst camera
 
 
@@ -122,7 +124,6 @@ def run_case(
     """
     folder = _folder(out, axis, severity, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    _begin_with_links(folder, _undisturbed_runs(out, seed))
     config = base.config.model_copy(
         update={
             "output": str((folder / "run").resolve()),
@@ -135,6 +136,7 @@ def run_case(
     if undisturbed is not None:
         intact = Intact(config, base.scene_dir, undisturbed, folder.resolve(), severity, seed)
         done = AXES[axis].damaging(intact)
+    _begin_with_links(folder, _undisturbed_runs(out, seed), done.stage or TRAINING)
     stages = [_damaged(s, done, folder, axis, severity, seed) if s.name == done.stage else s for s in STAGES]
     heard, refusals = _Listener(), list[DevrfError]()
     watched = [_watched(stage, refusals) for stage in stages]
@@ -226,15 +228,16 @@ def _undisturbed_runs(out: Path, seed: int) -> list[Path]:
     return [run for run in (same, *sorted(out.glob(f"{UNDISTURBED}-*/seed*/run"))) if run.is_dir()]
 
 
-def _begin_with_links(folder: Path, runs: Sequence[Path]) -> None:
-    """Fill the run folder of a case that has none with hard links to a run's finished stages, all of them or none."""
+def _begin_with_links(folder: Path, runs: Sequence[Path], until: str) -> None:
+    """Fill the run folder of a case that has none with hard links to a run's stages before one, all of them or none."""
     if not runs or (folder / "run").exists():
         return
     new = folder / "run.new"
     shutil.rmtree(new, ignore_errors=True)
     new.mkdir()
-    for stamp in runs[0].glob("*/stamp.json"):
-        shutil.copytree(stamp.parent, new / stamp.parent.name, copy_function=os.link)
+    before = takewhile(lambda name: name != until, stage_names())
+    for name in (name for name in before if (runs[0] / name / "stamp.json").is_file()):
+        shutil.copytree(runs[0] / name, new / name, copy_function=os.link)
     new.rename(folder / "run")
 
 
