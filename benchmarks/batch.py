@@ -82,7 +82,7 @@ def _look_s(folder: Path) -> float:
 
 def _stand(paths: list[Path]) -> None:
     for scene in look(paths, Options()):
-        stand(scene, Options(), scene.scene_dir / "run")
+        stand(scene)
         if not scene.stages or scene.to_do:
             raise SystemExit(f"{scene.path}: {', '.join(scene.to_do)} would be made again")
 
@@ -91,17 +91,15 @@ def _tasks_per_s(address: str) -> float:
     """Empty tasks that are begun and end on warm workers, as a batch submits them."""
     import ray
 
-    def empty(n: int):  # a generator, like the tasks of a batch
-        yield n
+    def empty(n: int) -> int:
+        return n
 
     ray.init(address=address, log_to_driver=False, logging_level="ERROR")
-    task = ray.remote(num_returns="streaming", max_retries=0)(empty)
+    task = ray.remote(max_retries=0)(empty)
 
     def rate(count: int) -> float:
         start = time.monotonic()
-        streams = [task.options(num_cpus=1, scheduling_strategy="SPREAD").remote(n) for n in range(count)]
-        for stream in streams:
-            ray.get(next(stream))
+        ray.get([task.options(num_cpus=1, scheduling_strategy="SPREAD").remote(n) for n in range(count)])
         return count / (time.monotonic() - start)
 
     rate(WARM)

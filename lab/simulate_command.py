@@ -15,9 +15,9 @@ from devrf.lab.simulate.protocol.forward import simulate_forward
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.simulate_session import simulate_session
-from devrf.lab.sources import code_of
 from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.console import Talk
+from devrf.pipelines.stamps.code_version import code_version
 
 Options = TypeVar("Options", bound=BaseModel)
 
@@ -35,7 +35,7 @@ class Protocol:
 
 def session_code() -> str:
     """Version of the code that renders sessions: of the sources that it needs, not of the renderer's library."""
-    return code_of(*(f"lab/simulate/{part}" for part in ("render", "scenes", "session")))
+    return code_version(*(f"lab/simulate/{part}" for part in ("render", "scenes", "session")))
 
 
 def _session(out: Path, scene: str, **arguments: Any) -> Path:

@@ -24,6 +24,7 @@ from devrf.pipelines.cli_options import (
     talk_of,
 )
 from devrf.pipelines.cli_results import compare, export, render, report, view
+from devrf.pipelines.config.gone import gone_option
 from devrf.pipelines.console import Talk
 from devrf.pipelines.disk_told import disk_told, refused_by_system
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
@@ -141,7 +142,10 @@ def demo(
 def batch(
     scenes: Annotated[list[Path], typer.Argument(help="scene.yaml files, or the folders that hold them")],
     engine: Annotated[
-        str, typer.Option(help="local: this machine; ray: a Ray cluster (extra `ray`)")
+        str,
+        typer.Option(
+            help="local: this machine; ray: a Ray cluster, whose machines share a disk (extra `ray`)"
+        ),
     ] = "local",
     address: Annotated[
         str | None,
@@ -156,12 +160,6 @@ def batch(
         bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder of the summary, batch.json")] = Path("batch"),
-    store: Annotated[
-        str | None,
-        typer.Option(
-            help="URL (s3://bucket/path, file:///path) where inputs and results lie for all machines"
-        ),
-    ] = None,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -172,7 +170,7 @@ def batch(
     options = command.Options(preset, tuple(overrides or ()), until, allow_unhealthy)
     with errors_told(talk):
         machines = command.Machines(engine, address, jobs, device)
-        code = command.batch(talk, scenes, options, machines, out, store)
+        code = command.batch(talk, scenes, options, machines, out)
     raise typer.Exit(code)
 
 
@@ -227,6 +225,9 @@ def main() -> None:
 
 
 def _command() -> None:
+    if (gone := gone_option(sys.argv[1:])) is not None:
+        Talk().error(gone, "option-gone")
+        sys.exit(BAD_INPUT)
     try:
         app()
     except KeyboardInterrupt:

@@ -13,7 +13,7 @@ from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.own_folder import check_run_folder
-from devrf.pipelines.runner.plan import Choice, Standing, is_chosen
+from devrf.pipelines.runner.plan import Choice, Standing
 from devrf.pipelines.runner.run import Run, check_choice, check_reads
 from devrf.pipelines.stages import STAGES, stage_names
 
@@ -33,10 +33,11 @@ def prepare(
     """
     with errors_told(talk):
         config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
+        job = Run(config, scene_dir, STAGES, choice or Choice(), talk)
         if choice is not None:
-            check_choice(config, STAGES, choice)
-            check_run_folder(config.run_dir(scene_dir), stage_names())
-    return Run(config, scene_dir, STAGES, choice or Choice(), talk)
+            check_choice(job)
+            check_run_folder(job.run_dir, stage_names())
+    return job
 
 
 def carry_out(job: Run) -> NoReturn:
@@ -53,7 +54,7 @@ def check(job: Run, found: Sequence[Standing], device: str) -> None:
     Raises:
         DevrfError: Something stands against a run.
     """
-    to_do = {now.stage.name for now in found if now.to_make and is_chosen(now.stage.name, STAGES, job.choice)}
+    to_do = {now.stage.name for now in found if now.to_make and job.chosen(now.stage.name)}
     check_reads(job)
     if to_do:
         job.device = resolve_device(device, job.config.budget.gpu_memory_gb)

@@ -61,6 +61,8 @@ class Stage:
         refers: Its result refers to files of what it was made from instead of holding them: the content of those that
             it names (`StageContext.referred`) counts as its own.
         places: What to call them -> files of the user's among those, which may lie elsewhere one day.
+        rooms: Rooms, or parts of them ("pipelines/report"), that it may import, beside what all share in `pipelines`.
+            Any change of their code makes it stale.
         plug_ins: Modules of other people's that it loads by their names.
         quotes_stamps: Its result tells when and how long the stages it reads were made: made again, they are others,
             even with the same content.
@@ -74,10 +76,6 @@ class Stage:
     inputs: "Callable[[SceneConfig, Path], dict[str, Path]]" = lambda config, scene_dir: {}
     refers: bool = False
     places: "Callable[[SceneConfig, Path], dict[str, Path]]" = lambda config, scene_dir: {}
+    rooms: tuple[str, ...] = ()
     plug_ins: "Callable[[SceneConfig], tuple[str, ...]]" = lambda config: ()
     quotes_stamps: bool = False
-
-    @property
-    def module(self) -> str:
-        """The module that makes it."""
-        return f"devrf.pipelines.stages.{self.name}"

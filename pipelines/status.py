@@ -25,7 +25,6 @@ def status_dict(config: "SceneConfig", run_dir: Path, found: list[Standing]) -> 
                 "stage": now.stage.name,
                 "state": now.state,
                 "why": list(now.why),
-                "cached": now.cached is not None,
                 "seconds": now.seconds,
                 "verdict": now.verdict,
                 "health": [row.as_dict() for row in now.health],
@@ -46,8 +45,7 @@ def print_status(console: "Console", config: "SceneConfig", run_dir: Path, found
         table.add_column(column, overflow="fold")
     for now in found:
         verdict = now.verdict
-        would = ["would be taken from the cache"] if now.cached is not None else []
-        why = [*now.why, *would, *([f"last try failed: {now.error}"] if now.error else [])]
+        why = [*now.why, *([f"last try failed: {now.error}"] if now.error else [])]
         table.add_row(
             now.stage.name,
             f"[{STYLE[now.state]}]{now.state}[/]",

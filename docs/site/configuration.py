@@ -24,7 +24,6 @@ MORE = {  # key or section -> page that says more
     "reconstruct": "reference.md",
     "reconstruct.adapt": "reference.md#no-more-than-a-scene-needs",
     "budget": "budgets.md",
-    "cache": "formats.md#the-cache",
     "evaluate.lpips_weights": "formats.md#lpips-weights",
     "evaluate.truth": "formats.md#ground_truthjson",
 }

@@ -78,11 +78,11 @@ class Board:
     def _table(self) -> Group:
         """What runs now, and how many stand where."""
         table = Table(box=None)
-        for column in ("scene", "stages made", "node"):
+        for column in ("scene", "stages made"):
             table.add_column(column, overflow="ellipsis", no_wrap=True)
         for row in self.rows:
             if row.state == "running":
-                table.add_row(escape(row.name), ", ".join(row.made), ", ".join(row.nodes[-1:]))
+                table.add_row(escape(row.name), ", ".join(row.made))
         counts = Counter(row.state for row in self.rows)
         states = ", ".join(f"{count} {state}" for state, count in counts.items())
         return Group(table, Text(f"{states}; {duration(time.monotonic() - self._start)}"))

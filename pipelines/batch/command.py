@@ -1,7 +1,7 @@
 """`devrf-pipeline batch`: check all scenes, run what is missing, keep a summary."""
 
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +11,9 @@ from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.writable import check_folder
 from devrf.pipelines.batch.board import JSON_FILE, Board
 from devrf.pipelines.batch.local import LocalPool
-from devrf.pipelines.batch.mirror import mirror
 from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.batch.rows import SceneRow, exit_code
 from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
-from devrf.pipelines.batch.store import Store
 from devrf.pipelines.batch.task import GRACE_S
 from devrf.pipelines.batch.work import Work
 from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
@@ -27,7 +25,7 @@ from devrf.pipelines.runner.supervise import tell
 
 CORES_PER_JOB = 2  # structure from motion keeps one core busy, training all that it gets
 GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)
-STOP_S = int(GRACE_S) + 30  # to end in order: what the runs get, and time to store what they finished
+STOP_S = int(GRACE_S) + 30  # to end in order: what the runs get, and time to say so
 
 
 @dataclass(frozen=True)
@@ -47,9 +45,7 @@ class Machines:
     device: str = "auto"
 
 
-def batch(
-    talk: Talk, paths: Sequence[Path], options: Options, machines: Machines, out: Path, store: str | None
-) -> int:
+def batch(talk: Talk, paths: Sequence[Path], options: Options, machines: Machines, out: Path) -> int:
     """Run the scenes.
 
     Args:
@@ -58,7 +54,6 @@ def batch(
         options: What each is run with.
         machines: Where.
         out: Folder of the summary.
-        store: URL of a store that all machines reach; None: they all see the scenes' own paths.
     Returns:
         The exit code.
     Raises:
@@ -74,18 +69,8 @@ def batch(
     check_folder(out, "--out")
     with disk_told(f"--out {out}", "choose another folder", InputError):
         out.mkdir(parents=True, exist_ok=True)
-    there = None if store is None else Store(store)
-    if there is not None:
-        there.check()
-
-    def refresh(scene: BatchScene) -> Path:
-        return _seen_in(scene, out, there, talk)
-
-    def look_again(scene: BatchScene, row: SceneRow) -> None:
-        row.look(refresh(scene), scene.stages)
-
-    scenes = look(paths, options, unique_names=store is not None)
-    rows = [_row(scene, options, refresh) for scene in scenes]
+    scenes = look(paths, options)
+    rows = [_row(scene, options) for scene in scenes]
     board = Board(talk, out, rows, machines.engine)
     with ExitStack() as stack:
         engine = _engine(machines, stack) if any(row.code is None for row in rows) else None
@@ -97,36 +82,19 @@ def batch(
             stack.enter_context(board.live())
             stack.enter_context(_stopped_by_signals(engine))
             tell(grace_s=STOP_S)
-            Work(options, engine, board, look_again, there).through(scenes)
+            Work(options, engine, board).through(scenes)
     done = sum(row.code == DONE for row in rows)
     talk.say(f"{done} of {len(rows)} scenes done{f'; {out / JSON_FILE}' if board.written else ''}")
     return exit_code(rows) or (DONE if board.written else FAILED)
 
 
-def _seen_in(scene: BatchScene, out: Path, store: Store | None, talk: Talk) -> Path:
-    """A folder with the stamps of a scene's stages, brought up to date: its run folder, or its mirror of a store.
-
-    Raises:
-        DevrfError: The store does not answer, or the folder cannot be written.
-    """
-    config, run_dir = scene.config, scene.run_dir
-    assert config is not None and run_dir is not None
-    if store is None:
-        return run_dir
-    folder = (out / "scenes" / config.folder_name).resolve()
-    with disk_told(folder, "make room there"):
-        mirror(store, config, scene.scene_dir, folder, talk.say)
-    return folder
-
-
-def _row(scene: BatchScene, options: Options, refresh: Callable[[BatchScene], Path]) -> SceneRow:
+def _row(scene: BatchScene, options: Options) -> SceneRow:
     """A scene's row, ended already where there is nothing to run."""
     row = SceneRow(str(scene.path), scene.name, None if scene.run_dir is None else str(scene.run_dir))
-    if scene.config is not None and scene.problem is None:
+    if scene.run_dir is not None and scene.problem is None:
         try:
-            seen_in = refresh(scene)
-            stand(scene, options, seen_in)
-            row.look(seen_in, scene.stages)
+            stand(scene)
+            row.look(scene.run_dir, scene.stages)
         except DevrfError as error:
             row.end(code_of(error), str(error))
             return row
@@ -161,8 +129,9 @@ def _local(machines: Machines) -> LocalPool:
 
         gpus = torch.cuda.device_count()
     memory_gb = left_bytes() * (1 - RESERVE) / GB
-    jobs = machines.jobs or max(1, min(cores // CORES_PER_JOB, int(memory_gb / GB_PER_JOB) - gpus))
-    return LocalPool(jobs, max(1, cores // (jobs + gpus)), memory_gb / (jobs + gpus), gpus)
+    jobs = machines.jobs or gpus or max(1, min(cores // CORES_PER_JOB, int(memory_gb / GB_PER_JOB)))
+    jobs = min(jobs, gpus or jobs)
+    return LocalPool(jobs, max(1, cores // jobs), memory_gb / jobs, gpus)
 
 
 @contextmanager

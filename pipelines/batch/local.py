@@ -1,10 +1,10 @@
-"""Tasks side by side on this machine: so many at once, and one at a time on each GPU."""
+"""Tasks side by side on this machine: so many at once, or one on each GPU."""
 
 import queue
 import threading
 from collections.abc import Callable
 
-from devrf.pipelines.batch.task import Ended, Task, node_name, run_task
+from devrf.pipelines.batch.task import Ended, Task, run_task
 from devrf.pipelines.exit_codes import STOPPED
 
 
@@ -12,10 +12,10 @@ class LocalPool:
     """Processes on this machine, each waited for by the thread that asks for it.
 
     Args:
-        jobs: Tasks without a GPU at once.
+        jobs: Tasks at once.
         threads: Cores that each task gets.
         memory_gb: Main memory that each task may hold.
-        gpus: GPUs, for tasks that need one.
+        gpus: GPUs; each task gets one of its own where there are any, so that no more run at once.
     Attributes:
         stopped: Set, nothing more is begun, and what runs is ended in order.
     """
@@ -23,26 +23,22 @@ class LocalPool:
     def __init__(self, jobs: int, threads: int, memory_gb: float, gpus: int) -> None:
         self.threads, self.memory_gb, self.gpus = threads, memory_gb, gpus
         self.stopped = threading.Event()
-        self._cores: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-        self._gpus: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-        for _ in range(jobs):
-            self._cores.put(None)
-        for gpu in range(gpus):
-            self._gpus.put(gpu)
+        self._places: queue.SimpleQueue[int | None] = queue.SimpleQueue()
+        for place in range(min(jobs, gpus or jobs)):
+            self._places.put(place if gpus else None)
 
-    def run(self, task: Task, begun: Callable[[str], None]) -> Ended:
+    def run(self, task: Task, begun: Callable[[], None]) -> Ended:
         """Carry out a task as soon as there is room.
 
         Args:
             task: What to run.
-            begun: Told where, once it begins.
+            begun: Told once it begins.
         """
-        places = self._gpus if task.gpu else self._cores
-        gpu = places.get()
+        gpu = self._places.get()
         try:
             if self.stopped.is_set():
                 return Ended(STOPPED)
-            begun(node_name())
+            begun()
             return run_task(task, self.stopped.is_set, gpu)
         finally:
-            places.put(gpu)
+            self._places.put(gpu)

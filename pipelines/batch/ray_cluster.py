@@ -8,7 +8,7 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import devrf
@@ -16,7 +16,7 @@ from devrf.capture.cores import usable_cores
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch.task import Ended, Task, node_name, run_task
 from devrf.pipelines.budget.memory import GB
-from devrf.pipelines.exit_codes import FAILED, STOPPED
+from devrf.pipelines.exit_codes import BAD_INPUT, FAILED, STOPPED
 
 # what makes Ray listen on 127.0.0.1 alone, on Linux too
 LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
@@ -25,7 +25,6 @@ SILENT = {
     "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # a lost node would print pages; what it means is said by the batch
 }
 TICK_S = 1.0  # between two looks at whether to stop; a thousand threads look
-MOST = 1 << 20  # tasks at once where nobody says how many: as Ray has room
 KNOCK_S = 5.0  # a head that does not take a connection within this time is not there
 
 
@@ -35,11 +34,11 @@ class RayCluster:
     Args:
         address: HOST:PORT of the cluster, or auto; None starts one on this machine, which only this machine reaches.
         jobs: Tasks at once, which share all cores; None: as many as there is room for.
-        cores: Cores of a task where `jobs` does not say; fewer where a node has fewer.
+        cores: Cores of a task where neither `jobs` nor the number of GPUs says; fewer where a node has fewer.
         device: auto, cpu or cuda.
     Attributes:
         threads, memory_gb: Cores and main memory that each task gets.
-        gpus: GPUs there are.
+        gpus: GPUs there are; each task gets one where there are any.
         stopped: Set, nothing more is begun, and what runs is ended in order.
     Raises:
         InputError: Ray is not installed, the cluster is not there, or it has no GPU where one is wished for.
@@ -56,59 +55,58 @@ class RayCluster:
                 f"--address {address}: no node of the cluster has a CPU and memory; start nodes with --num-cpus and "
                 "--memory",
             )
-        cpus = [int(node["CPU"]) for node in able]
-        gpus = int(sum(node.get("GPU", 0) for node in able))
-        if device == "cuda" and not gpus:
+        with_gpus = [node for node in able if node.get("GPU", 0) >= 1] if device != "cpu" else []
+        if device == "cuda" and not with_gpus:
             ray.shutdown()
             raise InputError(
                 "cluster-without-gpu",
                 "--device cuda: no node of the cluster that has a CPU and memory has a GPU; use --device cpu, or auto",
             )
-        self.threads = max(1, min(cores if jobs is None else sum(cpus) // jobs, *cpus))
-        per_core = min(node["memory"] / node["CPU"] for node in able)
-        self.memory_gb = per_core * self.threads / GB
-        self.gpus = gpus if device != "cpu" else 0
+        able = with_gpus or able
+        cpus = [int(node["CPU"]) for node in able]
+        self.gpus = int(sum(node["GPU"] for node in with_gpus))
+        wished = sum(cpus) // (jobs or self.gpus) if jobs or self.gpus else cores
+        self.threads = max(1, min(wished, *cpus))
+        self.memory_gb = min(node["memory"] / node["CPU"] for node in able) * self.threads / GB
         self.stopped = threading.Event()
-        self._room = threading.Semaphore(jobs or MOST)
-        self._remote = ray.remote(num_returns="streaming", max_retries=0)(_carry_out)
+        room = self.gpus or sum(count // self.threads for count in cpus)
+        self._room = threading.Semaphore(min(jobs or room, room))
+        self._remote = ray.remote(max_retries=0)(_carry_out)
 
-    def run(self, task: Task, begun: Callable[[str], None]) -> Ended:
+    def run(self, task: Task, begun: Callable[[], None]) -> Ended:
         """Carry out a task as soon as a node has room.
 
         Args:
             task: What to run.
-            begun: Told where, once it begins.
+            begun: Told once it begins.
         """
-        errors = self._ray.exceptions
+        ray = self._ray
         with self._room:
             if self.stopped.is_set():
                 return Ended(STOPPED)
-            remote = self._remote.options(
+            begun()
+            future = self._remote.options(
                 num_cpus=task.threads, num_gpus=int(task.gpu), scheduling_strategy="SPREAD"
-            )
-            stream = remote.remote(task, devrf.__version__)
+            ).remote(task, devrf.__version__)
+            told = False
+            while not ray.wait([future], timeout=TICK_S)[0]:
+                if self.stopped.is_set() and not told:
+                    ray.cancel(future)
+                    told = True
             try:
-                begun(self._next(stream))
-                return self._next(stream)
-            except (errors.TaskCancelledError, StopIteration):  # what a cancelled task says last, Ray drops
+                return ray.get(future)
+            except ray.exceptions.TaskCancelledError:
                 return Ended(STOPPED)
-            except errors.RayTaskError as error:
+            except ray.exceptions.RayTaskError as error:
                 return Ended(FAILED, f"{task.path}: cannot be run there: {error.cause}")
-            except errors.RayError as error:  # the node or its worker died, or Ray ended it to save memory
+            except (
+                ray.exceptions.RayError
+            ) as error:  # the node or its worker died, or Ray ended it to save memory
                 return Ended(None, f"a node was lost ({type(error).__name__})")
 
     def close(self) -> None:
         """Leave the cluster, or end the one that was started here."""
         self._ray.shutdown()
-
-    def _next(self, stream: Any) -> Any:
-        """What a task says next; it is interrupted, once, where the batch has been told to stop."""
-        while not self._ray.wait([stream], timeout=TICK_S)[0]:
-            if self.stopped.is_set():
-                self._ray.cancel(stream)
-                self._ray.wait([stream.completed()])  # the stream has an end at once, its task has not
-                raise StopIteration
-        return self._ray.get(next(stream))
 
 
 def _connected(address: str | None) -> Any:
@@ -146,20 +144,20 @@ def _connected(address: str | None) -> Any:
     return ray
 
 
-def _carry_out(task: Task, version: str) -> Iterator[str | Ended]:
+def _carry_out(task: Task, version: str) -> Ended:
     """On a node: run a task. Ray cancels by an interrupt, which ends the run in order, as in the local pool."""
-    import ray
-
     cancelled = threading.Event()
     before = signal.signal(signal.SIGINT, lambda number, frame: cancelled.set())
     try:
-        yield f"{node_name()}/{ray.get_runtime_context().get_node_id()[:6]}"
         if version != devrf.__version__:
-            message = (
-                f"{node_name()} has devrf {devrf.__version__}, the batch {version}; install one everywhere"
+            text = f"{node_name()} has devrf {devrf.__version__}, the batch {version}; install one everywhere"
+            return Ended(FAILED, text, node_name())
+        if not (task.path.is_file() and task.run_dir.is_dir()):
+            text = (
+                f"{task.path}: {node_name()} does not see it, or not its output {task.run_dir}; scenes and their "
+                "outputs must lie on a disk that all machines share or mount under the same path"
             )
-            yield Ended(FAILED, message)
-        else:
-            yield run_task(task, cancelled.is_set)
+            return Ended(BAD_INPUT, text, node_name())
+        return run_task(task, cancelled.is_set)
     finally:
         signal.signal(signal.SIGINT, before)

@@ -9,12 +9,11 @@ from pathlib import Path
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.writable import check_folder
 from devrf.pipelines.cli_options import configured
-from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.console import Talk
 from devrf.pipelines.preflight import check_inputs
-from devrf.pipelines.runner.plan import Choice, Standing, is_chosen, standings
-from devrf.pipelines.runner.run import check_choice
+from devrf.pipelines.runner.plan import Choice, Standing
+from devrf.pipelines.runner.run import Run, check_choice
 from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamps.digests import Digests
 
 
 @dataclass(frozen=True)
@@ -46,17 +45,15 @@ class BatchScene:
 
     Attributes:
         path: Its scene.yaml.
-        config: What it says; None where it cannot be used.
+        run: What it asks for; None where it cannot be used.
         problem: Why it cannot be used.
-        standing: Where its stages that are to run stand.
-        digests: Of its raw files, once they were looked at.
+        standing: Where its stages that belong to the batch stand.
     """
 
     path: Path
-    config: SceneConfig | None = None
+    run: Run | None = None
     problem: str | None = None
     standing: list[Standing] = field(default_factory=list)
-    digests: Digests | None = None
 
     @property
     def scene_dir(self) -> Path:
@@ -66,14 +63,14 @@ class BatchScene:
     @property
     def name(self) -> str:
         """As its scene.yaml says, else as the file or its folder is called."""
-        if self.config is not None:
-            return self.config.name
+        if self.run is not None:
+            return self.run.config.name
         return self.scene_dir.name if self.path.stem == "scene" else self.path.stem
 
     @property
     def run_dir(self) -> Path | None:
         """The run folder."""
-        return None if self.config is None else self.config.run_dir(self.scene_dir)
+        return None if self.run is None else self.run.run_dir
 
     @property
     def stages(self) -> list[str]:
@@ -82,66 +79,51 @@ class BatchScene:
 
     @property
     def to_do(self) -> list[str]:
-        """Stages that are to be made."""
-        return [now.stage.name for now in self.standing if now.to_make]
+        """Stages that are to be made, and those behind the first of them, which cost nothing to pass."""
+        first = next((n for n, now in enumerate(self.standing) if now.to_make), len(self.standing))
+        return self.stages[first:]
 
 
-def look(paths: Sequence[Path], options: Options, *, unique_names: bool = False) -> list[BatchScene]:
+def look(paths: Sequence[Path], options: Options) -> list[BatchScene]:
     """Read and check every scene; what is wrong with one stands in its `problem`.
 
     Args:
         paths: scene.yaml files, or the folders that hold them.
         options: What they are to be run with.
-        unique_names: Whether two scenes may not have one name (in a store they lie by their names).
     """
     scenes = [_read(path, options) for path in paths]
     _refuse_twice(scenes, "the same scene", "name it once", lambda scene: scene.path)
     _refuse_twice(
         scenes, "the same run folder", "give each its own output", lambda scene: scene.run_dir or scene.path
     )
-    if unique_names:
-        _refuse_twice(
-            scenes,
-            "the same name",
-            "give each its own name",
-            lambda scene: scene.config.folder_name if scene.config is not None else scene.path,
-        )
     return scenes
 
 
-def stand(scene: BatchScene, options: Options, seen_in: Path) -> None:
-    """Find out what a scene still needs, and whether its files are fit for that.
-
-    Args:
-        scene: Its `standing`, `digests` and `problem` are set.
-        options: What it is to be run with.
-        seen_in: Folder with the stamps of its stages.
-    """
-    if scene.config is None or scene.run_dir is None or scene.problem is not None:
+def stand(scene: BatchScene) -> None:
+    """Find out what a scene still needs, and whether its files are fit for that: sets `standing` and `problem`."""
+    run = scene.run
+    if run is None or scene.problem is not None:
         return
-    choice = Choice(last=options.until)
-    scene.digests = Digests(seen_in)
-    found = standings(STAGES, scene.config, scene.scene_dir, seen_in, choice, scene.digests)
-    scene.standing = [
-        now for now in found if is_chosen(now.stage.name, STAGES, choice) and now.state != "not applicable"
-    ]
-    if scene.to_do:
+    found = run.standings()
+    scene.standing = [now for now in found if run.chosen(now.stage.name) and now.state != "not applicable"]
+    if to_make := [now.stage.name for now in scene.standing if now.to_make]:
         try:
-            check_folder(scene.run_dir, "output:")
-            check_inputs(scene.config, scene.scene_dir, scene.to_do)
+            check_folder(run.run_dir, "output:")
+            check_inputs(run.config, run.scene_dir, to_make)
             with contextlib.suppress(OSError):  # its run will say so
-                seen_in.mkdir(parents=True, exist_ok=True)  # its run finds the digests there
+                run.run_dir.mkdir(parents=True, exist_ok=True)  # its run finds the digests there
         except InputError as error:
             scene.problem = str(error)
-    scene.digests.save()
+    run.digests.save()
 
 
 def _read(path: Path, options: Options) -> BatchScene:
     scene = BatchScene((path / "scene.yaml" if path.is_dir() else path).resolve())
     try:
-        config, _ = configured(scene.path, options.preset, options.overrides)
-        check_choice(config, STAGES, Choice(last=options.until))
-        scene.config = config
+        config, scene_dir = configured(scene.path, options.preset, options.overrides)
+        run = Run(config, scene_dir, STAGES, Choice(last=options.until), Talk("quiet"))
+        check_choice(run)
+        scene.run = run
     except DevrfError as error:
         scene.problem = str(error)
     return scene

@@ -1,26 +1,21 @@
-"""One piece of work of a batch: a group of stages of one scene, run in a process of its own."""
+"""One piece of work of a batch: the stages of one scene that are to be made, run in a process of its own."""
 
-import contextlib
-import json
 import os
 import signal
 import socket
 import subprocess
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.processes import run_module
-from devrf.pipelines.batch.scratch import Scratch, Stored
-from devrf.pipelines.batch.store import StoreError
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, code_of
 from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.plan import error_path, last_error
 
 POLL_S = 0.1  # between two looks at whether to stop
-MEANWHILE_S = 5.0  # between two looks for stages to store: a lost machine costs the stage in work only
 GRACE_S = 60.0  # from TERM to KILL; longer than a run's own processes get from it
 LOCK_WAIT_S = 90.0  # for a run that a dead node left: it has been told to stop, and gets its grace
 MESSAGE_CHARACTERS = 4000
@@ -39,7 +34,6 @@ class Task:
         threads: Cores to use.
         gpu: Whether to have a GPU.
         attempt: 1, or more where a node was lost on the way.
-        stored: Where the scene lies in a store; None: the machine sees the paths above.
     """
 
     path: Path
@@ -49,7 +43,6 @@ class Task:
     threads: int
     gpu: bool
     attempt: int = 1
-    stored: Stored | None = None
 
 
 @dataclass(frozen=True)
@@ -58,11 +51,13 @@ class Ended:
 
     Attributes:
         code: Exit code of the run; None where the node was lost.
-        message: What went wrong; of one that is done, what it mended. Of one that was stopped there is none.
+        message: What went wrong. Of one that is done or was stopped there is none.
+        node: Machine that it ran on, where that is known.
     """
 
     code: int | None
     message: str | None = None
+    node: str | None = None
 
 
 def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | None = None) -> Ended:
@@ -74,36 +69,16 @@ def run_task(task: Task, stop: Callable[[], bool] = lambda: False, gpu: int | No
         gpu: Which of the GPUs that this process sees, where the scheduler has not set it already.
     """
     try:
-        scratch = None if task.stored is None else Scratch(task.stored)
-        if scratch is not None:
-            task = replace(task, path=scratch.scene, run_dir=scratch.run_dir)
         if task.attempt > 1:
             _wait_for_lock(task.run_dir, stop)
-        if stop():
-            return Ended(STOPPED)
-        if scratch is None:
-            return _run(task, stop, lambda: None, gpu)
-        task = replace(task, stages=scratch.fetch(task.stages))
-        ended = _run(task, stop, lambda: _push(scratch, task), gpu)
-        scratch.push(task.stages)
-        if ended.code == DONE:
-            scratch.remove()
-            anew = [f"{stage} was made anew: {why}" for stage, why in scratch.damaged.items()]
-            ended = Ended(DONE, "\n".join(anew) or None)
-        return ended
+        return _run(task, stop, gpu)
     except DevrfError as error:
-        return Ended(code_of(error), str(error))
+        return Ended(code_of(error), str(error), node_name())
     except OSError as error:
-        return Ended(FAILED, f"{task.path}: cannot be run on {node_name()}: {error}")
+        return Ended(FAILED, f"{task.path}: cannot be run on {node_name()}: {error}", node_name())
 
 
-def _push(scratch: Scratch, task: Task) -> None:
-    """Store stages while others run; what does not succeed is tried again in the end."""
-    with contextlib.suppress(StoreError):
-        scratch.push(task.stages)
-
-
-def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gpu: int | None) -> Ended:
+def _run(task: Task, stop: Callable[[], bool], gpu: int | None) -> Ended:
     if stop():
         return Ended(STOPPED)
     started_s = time.time()
@@ -118,7 +93,7 @@ def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gp
         start_new_session=True,  # Ctrl-C in a terminal comes from the batch, once
     )
     try:
-        said, stopped = _wait(process, stop, meanwhile)
+        said, stopped = _wait(process, stop)
     except BaseException:  # nobody would wait for it any more
         _end(process)
         raise
@@ -126,7 +101,7 @@ def _run(task: Task, stop: Callable[[], bool], meanwhile: Callable[[], None], gp
     if stopped and code < 0:  # before it could listen, or because it did not
         code = STOPPED
     message = None if code in (DONE, STOPPED) else _message(task, started_s, code, said)
-    return Ended(code if code >= 0 else FAILED, message)
+    return Ended(code if code >= 0 else FAILED, message, node_name())
 
 
 def node_name() -> str:
@@ -136,8 +111,7 @@ def node_name() -> str:
 
 def _command(task: Task) -> list[str]:
     stages = ["--from", task.stages[0], "--until", task.stages[-1]]
-    output = ["--set", f"output={json.dumps(str(task.run_dir))}"] if task.stored is not None else []
-    return ["run", str(task.path), *stages, *task.arguments, *output, "--quiet"]
+    return ["run", str(task.path), *stages, *task.arguments, "--quiet"]
 
 
 def _environment(task: Task, gpu: int | None) -> dict[str, str]:
@@ -150,20 +124,14 @@ def _environment(task: Task, gpu: int | None) -> dict[str, str]:
     return {**os.environ, **ours}
 
 
-def _wait(
-    process: subprocess.Popen, stop: Callable[[], bool], meanwhile: Callable[[], None]
-) -> tuple[str, bool]:
+def _wait(process: subprocess.Popen, stop: Callable[[], bool]) -> tuple[str, bool]:
     """Wait for the end; what it said on stderr, and whether it was told to stop."""
-    next_s = time.monotonic() + MEANWHILE_S
     while True:
         try:
             return process.communicate(timeout=POLL_S)[1], False
         except subprocess.TimeoutExpired:
             if stop():
                 return _end(process), True
-        if time.monotonic() > next_s:
-            meanwhile()
-            next_s = time.monotonic() + MEANWHILE_S
 
 
 def _end(process: subprocess.Popen) -> str:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from devrf.capture.amounts import GB, size_text
 from devrf.capture.errors import DevrfError
 from devrf.pipelines.runner.workspace import nearest, size_of
-from devrf.pipelines.stamps.cache import cache_of
 
 if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig
@@ -41,23 +40,18 @@ class Room:
     remedy: str
 
 
-def room_of(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> Room:
+def room_of(config: "SceneConfig", run_dir: Path) -> Room:
     """Room for a run folder: on the disk that it lies on, or of its budget, whichever leaves less.
 
     Args:
-        config: Has the budget; and names the cache, whose results can be deleted.
-        scene_dir: Folder of scene.yaml.
+        config: Has the budget.
         run_dir: The run folder, made or not.
     """
-    place, cache, disk_gb = nearest(run_dir), cache_of(config, scene_dir), config.budget.disk_gb
-    usage = shutil.disk_usage(place)
-    spare = ""
-    if cache is not None and cache.folder.is_dir() and cache.folder.stat().st_dev == place.stat().st_dev:
-        spare = f" ({cache.folder} holds results of earlier runs, which can be deleted safely; cache.max_gb bounds it)"
+    usage, disk_gb = shutil.disk_usage(nearest(run_dir)), config.budget.disk_gb
     disk = Room(
         usage.free - min(MARGIN, int(MARGIN_SHARE * usage.total)),
         f"{size_text(usage.free)} are free on the disk of {run_dir}",
-        f"free some space{spare}, or set output: in scene.yaml to a folder on a larger disk",
+        "free some space, or set output: in scene.yaml to a folder on a larger disk",
     )
     if disk_gb is None:
         return disk
@@ -70,13 +64,13 @@ def room_of(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> Room:
     return min(disk, budget, key=lambda room: room.count)
 
 
-def check_room(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> None:
+def check_room(config: "SceneConfig", run_dir: Path) -> None:
     """Make sure that something can still be written.
 
     Raises:
         BudgetError: There is no room.
     """
-    room = room_of(config, scene_dir, run_dir)
+    room = room_of(config, run_dir)
     if room.count <= 0:
         raise BudgetError(
             "disk-full",
@@ -85,7 +79,7 @@ def check_room(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> None:
 
 
 @contextmanager
-def watched(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> Iterator[None]:
+def watched(config: "SceneConfig", run_dir: Path) -> Iterator[None]:
     """Stop what is done in this block, by a `BudgetError` in the main thread, once there is no room left.
 
     Outside of the main thread nothing can be stopped, and nothing is watched.
@@ -100,7 +94,7 @@ def watched(config: "SceneConfig", scene_dir: Path, run_dir: Path) -> Iterator[N
     def watch() -> None:
         while not done.wait(WATCH_S):
             try:
-                check_room(config, scene_dir, run_dir)
+                check_room(config, run_dir)
             except BudgetError as error:
                 problem.append(error)
                 signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGUSR1)

@@ -21,8 +21,8 @@ LAST = "report"  # takes seconds, and is wanted most where a run ends early
 class Budget:
     """What one call of `run` may still use. Its time begins now."""
 
-    def __init__(self, config: "SceneConfig", scene_dir: Path, run_dir: Path) -> None:
-        self.config, self.scene_dir, self.run_dir = config, scene_dir, run_dir
+    def __init__(self, config: "SceneConfig", run_dir: Path) -> None:
+        self.config, self.run_dir = config, run_dir
         minutes = config.budget.time_minutes
         self._until = None if minutes is None else time.monotonic() + 60 * minutes
 
@@ -32,14 +32,14 @@ class Budget:
         Raises:
             BudgetError: There is no room on the disk.
         """
-        check_room(self.config, self.scene_dir, self.run_dir)
+        check_room(self.config, self.run_dir)
         gpu_gb = self.config.budget.gpu_memory_gb
         gpu = None if gpu_gb is None else int(gpu_gb * GB)
         return Allowance(allowed_bytes(self.config), gpu, self._until)
 
     def watched(self) -> AbstractContextManager[None]:
         """Stops what is done in this block before the disk is full."""
-        return watched(self.config, self.scene_dir, self.run_dir)
+        return watched(self.config, self.run_dir)
 
     def late(self, stage: str, rest: Sequence[str]) -> str | None:
         """Why there is no time to begin a stage, and what is left; None where there is.

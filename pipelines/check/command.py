@@ -49,7 +49,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     begin = time.monotonic()
     if config.kind == "dataset":
         sections = {FILES: [note("data set", "can be read; there are no raw files to look at")]}
-        sections[RESOURCES] = _resources(config, scene_dir, run_dir)
+        sections[RESOURCES] = _resources(config, run_dir)
     else:
         with talk.progress("checking") as progress:
             sections = look_at_capture(config, scene_dir, run_dir, progress)
@@ -109,7 +109,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         sections["board"] = board_rows(session, spec, part(progress, 0.8, 0.15))
     sections["scale"] = _scale(config)
     sections[FILES] = left_out(config, session, scene_dir)
-    sections[RESOURCES] = _resources(config, scene_dir, run_dir)
+    sections[RESOURCES] = _resources(config, run_dir)
     return {title: rows for title, rows in sections.items() if rows}
 
 
@@ -130,9 +130,9 @@ def left_out(config: SceneConfig, session: CaptureSession, scene_dir: Path) -> l
     return [note("clips in this folder that scene.yaml does not use", names)] if clips else []
 
 
-def _resources(config: SceneConfig, scene_dir: Path, run_dir: Path) -> list[HealthRow]:
+def _resources(config: SceneConfig, run_dir: Path) -> list[HealthRow]:
     """What a run may use. How much it will need is not known before."""
-    room = room_of(config, scene_dir, run_dir)
+    room = room_of(config, run_dir)
     return [
         row(
             "room for the run folder",

@@ -384,16 +384,6 @@ class BudgetConfig(_Section):
     film first."""
 
 
-class CacheConfig(_Section):
-    """Finished stages of earlier configurations, and of other scenes with the same inputs, kept and used again."""
-
-    folder: PathText | None = Field(default=None, min_length=1)
-    """Where finished stages are kept; default: the folder that the environment variable DEVRF_CACHE names, else
-    nowhere."""
-    max_gb: float = Field(default=50.0, ge=0)
-    """Most that folder may hold; what was used longest ago goes first. 0: keep and take nothing."""
-
-
 class EvaluateConfig(_Section):
     """What the result is compared with."""
 
@@ -426,8 +416,6 @@ class SceneConfig(_Section):
     """The model."""
     budget: BudgetConfig = BudgetConfig()
     """Limits."""
-    cache: CacheConfig = CacheConfig()
-    """Stages that need not run again."""
     evaluate: EvaluateConfig = EvaluateConfig()
     """Test views and truth."""
 

@@ -31,7 +31,7 @@ def made_from_of(run_dir: Path, plan: Film) -> str:
         "pictures": [cameras, plan.times, plan.fps, lens.width, lens.height, lens.model],
         "shown": [plan.layers, plan.format, [[f.camera_name, f.index] for f in plan.beside], plan.without],
         "model": {name: stamp_content(run_dir / name) for name in READS},
-        "code": code_version("devrf.pipelines.film.make"),
+        "code": code_version("capture", "flow", "reconstruct", "pipelines/film"),
     }
     return hashlib.blake2b(json.dumps(value).encode(), digest_size=16).hexdigest()
 

@@ -5,7 +5,6 @@ import math
 import os
 import socket
 import time
-import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -16,24 +15,21 @@ from devrf.capture.errors import DevrfError, OutOfTime
 from devrf.capture.progress import Progress
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.console import duration
-from devrf.pipelines.disk_told import refused_by_system
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
 from devrf.pipelines.logs import Events, log_file
-from devrf.pipelines.runner.failure import explain, first_line, is_no_memory, unexpected
+from devrf.pipelines.runner.failure import explain
 from devrf.pipelines.runner.finish import finish
 from devrf.pipelines.runner.plan import (
     Standing,
     error_path,
     forced_path,
-    is_chosen,
-    is_forced,
     remember_error,
     remember_forced,
 )
 from devrf.pipelines.runner.run import Run, check_reads, skip_line
 from devrf.pipelines.runner.signals import stopped_by_signals
 from devrf.pipelines.runner.supervise import crash_log, tell
-from devrf.pipelines.runner.workspace import Workspace, disk_full_message, free_bytes, is_disk_full, size_of
+from devrf.pipelines.runner.workspace import Workspace, free_bytes, size_of
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamps.stamp import read_stamp
 
@@ -84,7 +80,6 @@ def _run_logged(run: Run, workspace: Workspace) -> int:
         code=code,
         seconds=round(time.monotonic() - start, 3),
         executed=run.executed,
-        taken=run.taken,
     )
     return code
 
@@ -100,37 +95,27 @@ def _answered(run: Run, work: Callable[[], int]) -> int:
         run.talk.error("stopped; finished stages are kept, the next run goes on from there", "stopped")
         return STOPPED
     except Exception as error:
-        logger.debug("%s", "".join(traceback.format_exception(error)))
-        if is_disk_full(error):
-            run.talk.error(disk_full_message(run.run_dir, "the run", 0), "disk-full")
-        elif is_no_memory(error):
-            what = f"not enough memory to go on ({first_line(error)}); close other programs, then run again"
-            run.talk.error(what, "no-memory")
-        elif (refused := refused_by_system(error, run.run_dir)) is not None:
-            run.talk.error(f"{refused}: finished stages are kept", refused.code)
-        else:
-            run.talk.error(unexpected(run, error), "unexpected")
-        return FAILED
+        code, of_error, message = explain(run, None, error, 0, None)
+        run.talk.error(message, of_error)
+        return code
 
 
 def _run_stages(run: Run, workspace: Workspace) -> int:
     start = time.monotonic()
-    budget = Budget(run.config, run.scene_dir, run.run_dir)
+    budget = Budget(run.config, run.run_dir)
     left: list[str] = []  # optional stages for which there is no time
     for number, stage in enumerate(run.stages, 1):
-        if not is_chosen(stage.name, run.stages, run.choice):
+        if not run.chosen(stage.name):
             run.talk.detail(f"{stage.name}: left alone (outside --from and --until)")
             continue
         now = run.standing(stage)
         run.digests.save()
-        if now.state == "not applicable" or (now.state == "fresh" and not is_forced(stage.name, run.choice)):
+        if now.state == "not applicable" or (now.state == "fresh" and not run.forced(stage.name)):
             run.talk.event("stage_skipped", stage=stage.name, state=now.state, why=list(now.why))
             run.talk.say(skip_line(now), style="dim")
         else:
-            _keep(run, stage)
             why = "; ".join(now.why) or "forced"
-            from_cache = now.cached is not None and not is_forced(stage.name, run.choice)
-            late = None if from_cache else budget.late(stage.name, _to_come(run, stage))
+            late = budget.late(stage.name, _to_come(run, stage))
             if late is not None and stage.name == OPTIONAL:
                 run.talk.say(f"{stage.name}: left for later: {late}", style="yellow")
                 left.append(stage.name)
@@ -138,12 +123,11 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             if late is not None:
                 run.talk.error(late, "out-of-time")
                 return FAILED
-            does = "taken from the cache" if from_cache else "runs"
-            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: {does}: {why}", style="bold")
+            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: runs: {why}", style="bold")
             run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
             tell(stage=stage.name)
             try:
-                code = _run_stage(run, workspace, now, from_cache, budget)
+                code = _run_stage(run, workspace, now, budget)
             finally:
                 tell(stage=None)
             if code is not None:
@@ -153,14 +137,11 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             run.talk.event(
                 "stage_finished",
                 stage=stage.name,
-                from_cache=stage.name in run.taken,
                 id=stamp.get("id"),
                 seconds=now.seconds,
                 peak_rss_gb=stamp.get("peak_rss_gb"),
             )
-            if stage.name in run.executed:
-                run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
-                _keep(run, stage)
+            run.talk.say(f"  {stage.name}: done in {duration(now.seconds or 0.0)}")
         if now.state == "fresh":
             run.fresh.append(stage.name)
             for of_earlier_tries in (error_path, forced_path):
@@ -168,9 +149,12 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
         code = _judge(run, now)
         if code is not None:
             return code
-    made = [(len(run.executed), "executed"), (len(run.taken), "taken from the cache")]
-    counts = [f"{count} stage{'s' if count != 1 else ''} {how}" for count, how in made if count]
-    what = ", ".join(counts) or "nothing changed, no stage executed"
+    count = len(run.executed)
+    what = (
+        f"{count} stage{'s' if count != 1 else ''} executed"
+        if count
+        else "nothing changed, no stage executed"
+    )
     run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
     if left:
         what = f"out of time: {', '.join(left)} is left; run again, or raise budget.time_minutes"
@@ -182,9 +166,7 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
 def _to_come(run: Run, stage: Stage) -> list[str]:
     """Names of a stage and of those that follow it in this run."""
     rest = run.stages[list(run.stages).index(stage) :]
-    return [
-        s.name for s in rest if s.applies(run.config) is None and is_chosen(s.name, run.stages, run.choice)
-    ]
+    return [s.name for s in rest if s.applies(run.config) is None and run.chosen(s.name)]
 
 
 def _judge(run: Run, now: Standing) -> int | None:
@@ -204,23 +186,17 @@ def _judge(run: Run, now: Standing) -> int | None:
     return UNHEALTHY
 
 
-def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, budget: Budget) -> int | None:
-    """Make one stage, or take it from the cache. None where it is finished, else the exit code."""
+def _run_stage(run: Run, workspace: Workspace, now: Standing, budget: Budget) -> int | None:
+    """Make one stage. None where it is finished, else the exit code."""
     stage, made_from = now.stage, now.made_from
     assert made_from is not None  # all that it reads has been made
     folder: Path | None = None
     context: StageContext | None = None
     try:
-        if is_forced(stage.name, run.choice):
+        if run.forced(stage.name):
             remember_forced(run.run_dir, stage.name)
         folder = workspace.new_folder(stage.name)
         folder.mkdir()
-        if from_cache and run.cache is not None:
-            if run.cache.take(stage, made_from, folder):
-                workspace.commit(stage.name, folder)
-                run.taken.append(stage.name)
-                return None
-            run.talk.say(f"  {stage.name}: runs: what the cache had is damaged or gone")
         say = partial(run.talk.decision, stage.name)
         start = time.monotonic()
         with run.talk.progress(stage.name) as progress:
@@ -260,15 +236,6 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, from_cache: bool, 
         if not isinstance(error, OutOfTime):
             remember_error(run.run_dir, stage.name, message, code, of_error)
         return code
-
-
-def _keep(run: Run, stage: Stage) -> None:
-    """Keep a finished stage in the cache, if there is one; without room there the run goes on."""
-    if run.cache is not None:
-        try:
-            run.cache.keep(stage, run.run_dir / stage.name)
-        except OSError as error:
-            run.talk.say(f"  {stage.name}: not kept in the cache {run.cache.folder}: {error}", style="yellow")
 
 
 def _sane(progress: Progress) -> Progress:

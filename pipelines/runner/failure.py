@@ -26,46 +26,49 @@ logger = logging.getLogger(__name__)
 
 
 def explain(
-    run: Run, stage: Stage, error: BaseException, written: int, free: int | None
+    run: Run, stage: Stage | None, error: BaseException, written: int, free: int | None
 ) -> tuple[int, str, str]:
-    """Exit code, the error's code and message of a stage's failure; the trace goes to the log."""
-    name = stage.name
+    """Exit code, the error's code and message of a failure, of a stage or between two; the trace goes to the log.
+
+    Args:
+        run: The run.
+        stage: The stage; None between two.
+        error: What went wrong.
+        written: Bytes that the stage had written.
+        free: Bytes that are free on the disk, where that is known.
+    """
+    before, what = ("", "the run") if stage is None else (f"{stage.name}: ", stage.name)
     if isinstance(error, OutOfTime):
-        what = f"{name}: {error} (budget.time_minutes); run again to go on, or give it more time"
-        return FAILED, error.code, what
+        text = f"{before}{error} (budget.time_minutes); run again to go on, or give it more time"
+        return FAILED, error.code, text
     trace = "".join(traceback.format_exception(error))
     logger.debug("%s", trace)
     if is_disk_full(error) or (free is not None and free < NO_ROOM and not isinstance(error, HealthError)):
-        return FAILED, "disk-full", f"{name}: {disk_full_message(run.run_dir, name, written)}"
+        return FAILED, "disk-full", before + disk_full_message(run.run_dir, what, written)
     if isinstance(error, DevrfError):
-        return UNHEALTHY if isinstance(error, HealthError) else FAILED, error.code, f"{name}: {error}"
+        return UNHEALTHY if isinstance(error, HealthError) else FAILED, error.code, f"{before}{error}"
     if is_no_memory(error):
         budget, on_gpu = run.config.budget.gpu_memory_gb, not isinstance(error, MemoryError)
         bounded = budget is not None and run.device == "cuda" and on_gpu
         remedy = f"raise budget.gpu_memory_gb ({budget:g})" if bounded else "close other programs"
-        what = f"{name}: not enough memory ({first_line(error)}); {remedy}, or use --preset tiny, or lower "
-        return (
-            FAILED,
-            "no-memory",
-            what + "reconstruct.image_scale, reconstruct.rays or reconstruct.resolution",
+        text = (
+            f"{before}not enough memory ({first_line(error)}); {remedy}, or use --preset tiny, or lower "
+            "reconstruct.image_scale, reconstruct.rays or reconstruct.resolution"
         )
+        return FAILED, "no-memory", text
     if isinstance(error, SystemExit):
-        what = f"{name}: a library ended the program (exit {error.code}); see devrf.log in {run.run_dir}"
-        return FAILED, "library-ended-program", what
+        text = f"{before}a library ended the program (exit {error.code}); see devrf.log in {run.run_dir}"
+        return FAILED, "library-ended-program", text
     refused = refused_by_system(error, run.run_dir)
     if refused is not None:
-        return FAILED, refused.code, f"{name}: {refused}: finished stages are kept"
-    if run.talk.loudness == "verbose":
+        return FAILED, refused.code, f"{before}{refused}: finished stages are kept"
+    if stage is not None and run.talk.loudness == "verbose":
         run.talk.err.print(trace, markup=False)
-    return FAILED, "unexpected", f"{name}: {unexpected(run, error)}"
-
-
-def unexpected(run: Run, error: BaseException) -> str:
-    """What is said of an error that nobody foresaw."""
-    return (
-        f"unexpected {type(error).__name__}: {error}. This is a fault of the program, not of your files; the whole "
-        f"trace is in {run.run_dir / LOG_FILE}"
+    text = (
+        f"{before}unexpected {type(error).__name__}: {error}. This is a fault of the program, not of your files; the "
+        f"whole trace is in {run.run_dir / LOG_FILE}"
     )
+    return FAILED, "unexpected", text
 
 
 def is_no_memory(error: BaseException) -> bool:

@@ -1,24 +1,16 @@
-"""Which stages run, and why: the one place that compares stamps, for `run`, `--dry-run` and `status`."""
+"""What a user asked for, where a stage stands, and what a run folder remembers of tries that did not succeed."""
 
-from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from devrf.capture.durable import read_json, sync, write_json
 from devrf.pipelines.health.rows import HealthRow, Verdict, worst
 from devrf.pipelines.stage import Stage
-from devrf.pipelines.stamps.cache import Cache
-from devrf.pipelines.stamps.digests import Digests
-from devrf.pipelines.stamps.reasons import why_stale
-from devrf.pipelines.stamps.stamp import HEALTH, identity, read_stamp, stamp_id
-
-if TYPE_CHECKING:
-    from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.stamps.stamp import HEALTH, stamp_id
 
 State = Literal["fresh", "stale", "missing", "not applicable"]
-ALL = "all"  # --force all
 
 
 @dataclass(frozen=True)
@@ -51,7 +43,6 @@ class Standing:
         error: Why it failed when it was last tried, if it did.
         made_from: What it would be made from now (`identity`); None where that depends on stages that run before it,
             or where the stage does not apply.
-        cached: Content of the same stage in the cache, where it need not run.
     """
 
     stage: Stage
@@ -61,132 +52,16 @@ class Standing:
     health: tuple[HealthRow, ...] = ()
     error: str | None = None
     made_from: dict | None = None
-    cached: str | None = None
 
     @property
     def to_make(self) -> bool:
-        """Whether nothing else than running it gives what is needed."""
-        return self.state in ("stale", "missing") and self.cached is None
+        """Whether it has to run."""
+        return self.state in ("stale", "missing")
 
     @property
     def verdict(self) -> Verdict | None:
         """The worst of the health rows; None where there are none."""
         return worst(row.verdict for row in self.health)
-
-
-def standing(
-    stage: Stage,
-    stages: Sequence[Stage],
-    config: "SceneConfig",
-    scene_dir: Path,
-    run_dir: Path,
-    digests: Digests,
-    cache: Cache | None = None,
-    will_run: Collection[str] = (),
-    expected: Mapping[str, str] | None = None,
-    *,
-    whole: bool = False,
-) -> Standing:
-    """Compare one stage with what would make it now.
-
-    Args:
-        stage: The stage.
-        stages: All stages.
-        config: The configuration.
-        scene_dir: Folder of scene.yaml.
-        run_dir: The run folder.
-        digests: Source of content digests.
-        cache: Where it may be found instead of made.
-        will_run: Stages known to run before it; what reads them is stale, unless they come out the same.
-        expected: Content of stages that will be there before it, by name.
-        whole: Whether its files are known to be as they were left: it has only just been made.
-    """
-    reason = stage.applies(config)
-    if reason is not None:
-        return Standing(stage, "not applicable", (reason,))
-    reads = reads_of(stage, stages, config)
-    made_from = identity(stage, config, scene_dir, run_dir, reads, digests, expected)
-    folder = run_dir / stage.name
-    stamp = read_stamp(folder)
-    unknown = [name for name in reads if name in will_run]
-    asked = not unknown  # whether the cache may have it
-    if stamp is None:
-        state, why = "missing", ["not made yet"]
-    else:
-        then = stamp["identity"].get("reads")
-        then = then if isinstance(then, dict) else {}
-        known = {
-            name: then.get(name) if name in unknown else made for name, made in made_from["reads"].items()
-        }
-        now = made_from | {"reads": known}
-        why = why_stale(stage, folder, stamp, now, None if whole else digests)
-        why += [f"{name} runs" for name in unknown]
-        again = _is_to_be_forced(run_dir, stage.name, stamp)
-        why += ["forced before, and not finished"] if again else []
-        state = "stale" if why else "fresh"
-        asked = asked and not again
-    cached = cache.has(stage, made_from) if cache is not None and asked and why else None
-    return Standing(
-        stage,
-        state,
-        tuple(why),
-        None if stamp is None else stamp.get("seconds"),
-        read_health(folder),
-        last_error(run_dir, stage.name),
-        None if unknown else made_from,
-        cached,
-    )
-
-
-def standings(
-    stages: Sequence[Stage],
-    config: "SceneConfig",
-    scene_dir: Path,
-    run_dir: Path,
-    choice: Choice | None = None,
-    digests: Digests | None = None,
-    cache: Cache | None = None,
-) -> list[Standing]:
-    """Where every stage stands, what must run before it considered.
-
-    A stage that `choice` forces is stale; one that it leaves out does not make others stale.
-    """
-    choice = choice or Choice()
-    digests = digests or Digests(run_dir)
-    will_run: set[str] = set()
-    expected: dict[str, str] = {}
-    found = []
-    for stage in stages:
-        now = standing(stage, stages, config, scene_dir, run_dir, digests, cache, will_run, expected)
-        if now.state in ("fresh", "stale", "missing") and is_forced(stage.name, choice):
-            why = ("forced",) if now.state == "fresh" else now.why
-            now = replace(now, state="stale" if now.state == "fresh" else now.state, why=why, cached=None)
-        if now.state in ("stale", "missing") and is_chosen(stage.name, stages, choice):
-            if now.cached is None:
-                will_run.add(stage.name)
-            else:
-                expected[stage.name] = now.cached
-        found.append(now)
-    return found
-
-
-def reads_of(stage: Stage, stages: Sequence[Stage], config: "SceneConfig") -> list[str]:
-    """The stages that one reads, without those that do not apply."""
-    applying = {other.name for other in stages if other.applies(config) is None}
-    return [name for name in stage.reads if name in applying]
-
-
-def is_chosen(name: str, stages: Sequence[Stage], choice: Choice) -> bool:
-    """Whether a stage lies between --from and --until."""
-    names = [stage.name for stage in stages]
-    first = names.index(choice.first) if choice.first else 0
-    last = names.index(choice.last) if choice.last else len(names) - 1
-    return first <= names.index(name) <= last
-
-
-def is_forced(name: str, choice: Choice) -> bool:
-    """Whether a stage runs even where nothing changed."""
-    return name in choice.force or ALL in choice.force
 
 
 def read_health(folder: Path) -> tuple[HealthRow, ...]:
@@ -211,7 +86,8 @@ def remember_forced(run_dir: Path, stage: str) -> None:
         sync(forced_path(run_dir, stage))
 
 
-def _is_to_be_forced(run_dir: Path, stage: str, stamp: dict) -> bool:
+def is_to_be_forced(run_dir: Path, stage: str, stamp: dict) -> bool:
+    """Whether a stage was forced to run, and is still what was to be replaced."""
     try:
         return forced_path(run_dir, stage).read_text() == stamp.get("id")
     except (OSError, ValueError):

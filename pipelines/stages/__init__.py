@@ -99,6 +99,9 @@ TRAINING = tuple(
     for key in ("resolution", "rays", "canonical_iterations", "learning_rate", "adapt", "seed")
 )
 
+CAMERAS = ("capture", "calibration")  # rooms whose code stages need
+TRAINED = ("capture", "flow", "reconstruct")
+
 STAGES = (
     Stage(
         name="ingest",
@@ -117,6 +120,7 @@ STAGES = (
         ),
         applies=_unless(dataset=NO_RAW_FILES),
         run=_glue("ingest"),
+        rooms=CAMERAS,
     ),
     Stage(
         name="static_poses",
@@ -124,6 +128,7 @@ STAGES = (
         config_keys=("calibration.static_poses", "capture.static", *PRINTED_BOARD),
         applies=_unless(dataset=NO_RAW_FILES, cameras=NO_SWEEP),
         run=_glue("static_poses"),
+        rooms=CAMERAS,
     ),
     Stage(
         name="sync",
@@ -131,6 +136,7 @@ STAGES = (
         config_keys=("calibration.sync", "capture.rest"),
         applies=_unless(dataset=NO_RAW_FILES, sweep=NO_CAMERAS),
         run=_glue("sync"),
+        rooms=CAMERAS,
     ),
     Stage(
         name="rig",
@@ -144,6 +150,7 @@ STAGES = (
         ),
         applies=_unless(dataset=NO_RAW_FILES, sweep=NO_CAMERAS),
         run=_glue("rig"),
+        rooms=CAMERAS,
         inputs=_beside_given,
     ),
     Stage(
@@ -152,6 +159,7 @@ STAGES = (
         config_keys=("calibration.colour", "capture.rest", "evaluate.holdout_every"),
         applies=_unless(dataset=NO_RAW_FILES),
         run=_glue("colour"),
+        rooms=CAMERAS,
     ),
     Stage(
         name="scene",
@@ -171,6 +179,7 @@ STAGES = (
         ),
         applies=_unless(),
         run=_glue("scene"),
+        rooms=(*CAMERAS, "reconstruct"),
         inputs=_matte_program,
         refers=True,
         places=_data_set,
@@ -181,6 +190,7 @@ STAGES = (
         config_keys=("flow",),
         applies=_where_something_moves,
         run=_glue("flow"),
+        rooms=("capture", "flow"),
         plug_ins=_flow_method,
     ),
     Stage(
@@ -192,6 +202,7 @@ STAGES = (
         ),
         applies=_unless(cameras=NO_SWEEP),
         run=_glue("canonical"),
+        rooms=TRAINED,
     ),
     Stage(
         name="deformation",
@@ -206,6 +217,7 @@ STAGES = (
         ),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),
+        rooms=TRAINED,
         plug_ins=_flow_method,
     ),
     Stage(
@@ -214,6 +226,7 @@ STAGES = (
         config_keys=("evaluate.lpips_weights", "reconstruct.seed", "capture.test_cameras"),
         applies=_unless(cameras=NO_SWEEP),
         run=_glue("evaluate"),
+        rooms=(*TRAINED, "calibration"),
         inputs=_truth,
     ),
     Stage(
@@ -222,6 +235,7 @@ STAGES = (
         config_keys=("preset",),
         applies=_unless(cameras=NO_SWEEP),
         run=_glue("render"),
+        rooms=TRAINED,
     ),
     Stage(
         name="report",
@@ -241,6 +255,7 @@ STAGES = (
         config_keys=("name", "preset"),
         applies=_unless(cameras=NO_SWEEP),
         run=_glue("report"),
+        rooms=("capture", "flow", "pipelines/report"),
         quotes_stamps=True,
     ),
 )

@@ -1,1 +1,1 @@
-"""What made a stage, whether that is still so, and earlier results that fit."""
+"""What made a stage, and whether that is still so."""

@@ -1,15 +1,14 @@
-"""What code a stage depends on: the sources its module imports, followed through the domain folders, and libraries.
+"""What code a stage depends on: the rooms it may import, what stages share in `pipelines`, and libraries.
 
-The runner's own files (configuration, stamps, command line) are left out: they move results about, they
-do not make them. Imports are read from the text, so nothing is imported; and by patterns, not by a parser, because
-every start of the program reads them all; `test_stamps.py` holds both against each other.
+Of a room every file counts, whether the stage imports it or not: it may. What moves results about and does not make
+them (configuration, runner, commands) is left out; `test_code_version.py` holds what is counted against what stages
+import.
 """
 
 import hashlib
 import os
 import re
-import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -19,33 +18,21 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from importlib.metadata import Distribution
 
-ROOMS = ("capture", "calibration", "flow", "reconstruct")
-RUNNER = ("config", "runner", "stamps")  # folders of `pipelines`
-RUNNER_FILES = (
-    "stage",
-    "health.rows",
-    "logs",
-    "console",
-    "status",
-    "stages",
-    "cli",
-    "cli_options",
-    "run_command",
-    "budget.allowance",
-    "budget.at_once",
-    "budget.memory",
-    "budget.raw_files",
+SHARED = "pipelines"  # the part of it that all stages share: all but these folders
+APART = (
+    *("batch", "budget", "check", "compare", "config", "export", "film", "init", "player", "report"),
+    *("runner", "stages", "stamps", "viewer"),
 )
-NO_RESULTS = ("jaxtyping", "psutil")  # libraries that check or look at processes, and compute nothing
+LIBRARIES = {  # of a room or a part of it -> the distributions that compute something there
+    "capture": ("av", "numpy", "opencv-contrib-python-headless", "pillow", "rawpy", "scipy", "simplejpeg"),
+    "calibration": ("numpy", "opencv-contrib-python-headless", "pycolmap", "pyyaml", "scipy"),
+    "flow": ("numpy", "opencv-contrib-python-headless", "scipy", "torch"),
+    "reconstruct": ("numpy", "opencv-contrib-python-headless", "safetensors", "scipy", "torch", "warp-lang"),
+    "pipelines/report": ("jinja2", "matplotlib"),
+}
 
-# a folder; what is in it, and the data files beside it, which it may include, count whole
-_TEMPLATES = "templates"
-_IMPORT = re.compile(
-    r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]*(\([^)]*\)|[^\n]*)|import[ \t]+([^\n]*))", re.MULTILINE
-)
-_COMMENT = re.compile(r"#[^\n]*")
-_DATA_FILE = r"[\w-]+\.(?:css|js|html|json)"
-_NAMED = re.compile(rf"""["'](devrf\.[\w.]+|{_DATA_FILE}|{_TEMPLATES})["']""")
+_HERE = Path(__file__).resolve().parents[2]  # rooms lie beside one another, installed or not
+_CODE = (".py", ".css", ".html", ".js", ".json")
 _RELEASE = re.compile(r"(\d+)(?:\.(\d+))?[\d.]*(?:\.post\d+)?(?:\+.*)?")
 
 
@@ -54,66 +41,40 @@ class Code:
     """What made a stage's result, beside what it was given.
 
     Attributes:
-        sources: Module -> digest of its file.
+        rooms: Room, part of one, or package of others -> digest of its files.
         libraries: Distribution -> version; what of it counts says `series`.
     """
 
-    sources: dict[str, str]
+    rooms: dict[str, str]
     libraries: dict[str, str]
 
 
-def code_version(module: str) -> str:
-    """One digest of the sources that a module needs."""
-    digest = hashlib.blake2b(digest_size=16)
-    for name, path in sorted(sources(module).items()):
-        digest.update(f"{name}\0{file_id(path)}\0".encode())
-    return digest.hexdigest()
+def code_version(*parts: str) -> str:
+    """One digest of some rooms or parts of them, such as "flow" or "capture/formats"."""
+    return _joined(_digest(part) for part in parts)
 
 
-def code_of(module: str, plug_ins: Iterable[str] = ()) -> Code:
-    """The code that a module (such as devrf.pipelines.stages.flow) needs.
+def code_of(stage: str, rooms: Iterable[str], plug_ins: Iterable[str] = ()) -> Code:
+    """The code that makes a stage.
 
     Args:
-        module: The module.
+        stage: Its name.
+        rooms: Rooms, or parts of them, that it may import.
         plug_ins: Modules of others that it loads by their names.
     """
-    files = sources(module)
-    imported = {name for path in files.values() for name in _words(path)[0]}
-    tops = {name.partition(".")[0] for name in imported} - {"devrf"} - sys.stdlib_module_names
-    for name in plug_ins:
-        top = name.partition(".")[0]
-        files |= _package(top)
-        tops.add(top)
-    installed = dict(found for top in tops if (found := _distribution(top)) is not None)
-    return Code(
-        {name: file_id(path) for name, path in sorted(files.items())},
-        {name: version for name, version in sorted(installed.items()) if name not in NO_RESULTS},
-    )
-
-
-def sources(module: str) -> dict[str, Path]:
-    """Module name -> file, of `module` and of all that it imports from the domain folders."""
-    found: dict[str, Path] = {}
-    todo, seen = [module], {module}
-    while todo:
-        name = todo.pop()
-        path = _file(name)
-        if path is None:
-            continue
-        found[name] = path
-        imported, named = _words(path)
-        new = {word for word in (*imported, *named) if _counts(word)} - seen
-        todo += new
-        seen |= new
-        found |= {f"{name}:{word}": path.parent / word for word in named if (path.parent / word).is_file()}
-        if _TEMPLATES in named:
-            beside = (file for file in path.parent.rglob("*.*") if re.fullmatch(_DATA_FILE, file.name))
-            found |= {f"{name}:{file.relative_to(path.parent).as_posix()}": file for file in beside}
-    return found
+    parts = (*rooms, SHARED)
+    files = {part: _digest(part, APART if part == SHARED else ()) for part in parts}
+    module = f"pipelines/stages/{stage}.py"
+    files[module] = _digest(module)
+    found = [_version(name) for name in sorted({name for part in parts for name in LIBRARIES.get(part, ())})]
+    for top in {name.partition(".")[0] for name in plug_ins}:
+        files[top] = _of_others(top)
+        found.append(_version_of(top))
+    return Code(files, dict(version for version in found if version is not None))
 
 
 def series(version: str) -> str:
-    """What of a library's version counts: major and minor number.
+    """What of a version counts: major and minor number.
 
     Patch releases and builds mend what was wrong beside the result, and security updates come as such: they must not
     cost a night. Anything that is no plain release counts as a whole.
@@ -122,97 +83,64 @@ def series(version: str) -> str:
     return version if match is None else ".".join(part for part in match.groups() if part is not None)
 
 
-def file_id(path: Path) -> str:
-    """Digest of a source file; short, since a stamp holds a hundred."""
+def counted(part: str, apart: tuple[str, ...] = ()) -> list[Path]:
+    """The files of code of a room, of a folder in it or of a module, in order, but for some folders."""
+    place = _HERE / part
+    return [place] if place.is_file() else sorted(_below(place, apart))
+
+
+def _below(folder: Path, apart: tuple[str, ...] = ()) -> Iterator[Path]:
+    for root, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if name not in apart]
+        apart = ()  # they lie in the room itself
+        yield from (Path(root, name) for name in files if name.endswith(_CODE))
+
+
+def _digest(part: str, apart: tuple[str, ...] = ()) -> str:
+    return _joined(f"{path.relative_to(_HERE).as_posix()}\0{_file_id(path)}" for path in counted(part, apart))
+
+
+def _joined(texts: Iterable[str]) -> str:
+    return hashlib.blake2b("\0".join(texts).encode(), digest_size=16).hexdigest()
+
+
+def _file_id(path: Path) -> str:
     stat = path.stat()
-    return _file_id(path, stat.st_mtime_ns, stat.st_size)
+    return _content(path, stat.st_mtime_ns, stat.st_size)
 
 
 @cache
-def _file_id(path: Path, mtime_ns: int, size: int) -> str:
-    return hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
+def _content(path: Path, mtime_ns: int, size: int) -> str:
+    return hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest()
 
 
-def _counts(name: str) -> bool:
-    parts = name.split(".")
-    if len(parts) < 3 or parts[0] != "devrf":
-        return False
-    if parts[1] == "pipelines":
-        return parts[2] not in RUNNER and ".".join(parts[2:]) not in RUNNER_FILES
-    return parts[1] in ROOMS
-
-
-def _words(path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    stat = path.stat()
-    return _read_words(path, stat.st_mtime_ns, stat.st_size)
-
-
-@cache
-def _read_words(path: Path, mtime_ns: int, size: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Modules that a file may import (`from a import b` gives both a and a.b); modules and files that it names.
-
-    A module that is named runs in a process of its own; a file lies beside this one.
-    """
-    if path.suffix != ".py":
-        return (), ()
-    text = path.read_text(encoding="utf-8")
-    imported: list[str] = []
-    for module, names, plain in _IMPORT.findall(text):
-        inner = _COMMENT.sub("", names or plain).strip("() \t\n").replace("\\", "")
-        firsts = [words[0] for part in inner.split(",") if (words := part.split())]
-        imported += [module, *(f"{module}.{name}" for name in firsts)] if module else firsts
-    return tuple(imported), tuple(_NAMED.findall(text))
-
-
-def _file(module: str) -> Path | None:
-    """The file of a devrf module. Its folder is where the room was imported from: editable or installed."""
-    parts = module.split(".")
-    folder = _room(parts[1])
-    if folder is None:
-        return None
-    path = os.path.join(folder, *parts[2:])  # not Path's methods: thousands of names are tried
-    for candidate in (f"{path}.py", os.path.join(path, "__init__.py")):
-        if os.path.isfile(candidate):
-            return Path(candidate)
-    return None
-
-
-@cache
-def _room(room: str) -> Path | None:
-    beside = Path(__file__).resolve().parents[2] / room  # rooms lie beside one another in both layouts
-    return beside if beside.is_dir() else None
-
-
-def _package(top: str) -> dict[str, Path]:
-    """Module name -> file of everything in somebody else's package: an editable one changes without its version."""
+def _of_others(top: str) -> str:
+    """One digest of all of somebody else's package: an editable one changes without its version."""
     spec = find_spec(top)
     if spec is None or spec.origin is None:
-        return {}
-    if not spec.submodule_search_locations:
-        return {top: Path(spec.origin)}
-    folder = Path(spec.origin).parent
-    return {
-        ".".join((top, *path.relative_to(folder).with_suffix("").parts)): path
-        for path in folder.rglob("*.py")
-    }
+        return ""
+    origin = Path(spec.origin)
+    files = sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]
+    return _joined(f"{path.relative_to(origin.parent).as_posix()}\0{_file_id(path)}" for path in files)
 
 
 @cache
-def _distribution(module: str) -> tuple[str, str] | None:
-    """Name and version of the installed distribution that holds a module; None where there is none.
-
-    Most bear the module's name. For the others (cv2, PIL, warp) the lists of files are searched, as text: the
-    standard library's own table of all modules takes longer than the rest of a start.
-    """
+def _version(name: str) -> tuple[str, str] | None:
+    """A distribution's name and version; None where it is not installed."""
     from importlib import metadata
 
     try:
-        found = metadata.distribution(module)
+        return name, metadata.version(name)
     except metadata.PackageNotFoundError:
-        holds = (f"\n{module}/", f"\n{module}.py,")
-        found = next(
-            (d for d in metadata.distributions() if any(line in _files_in(d) for line in holds)), None
-        )
+        return None
+
+
+def _version_of(module: str) -> tuple[str, str] | None:
+    """Name and version of the installed distribution that holds a module; None where there is none."""
+    from importlib import metadata
+
+    holds = (f"\n{module}/", f"\n{module}.py,")
+    found = next((d for d in metadata.distributions() if any(line in _files_in(d) for line in holds)), None)
     return None if found is None else (found.name, found.version)
 
 

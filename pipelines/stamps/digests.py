@@ -20,7 +20,6 @@ from devrf.capture.errors import InputError
 from devrf.pipelines.logs import LOG_FILE
 
 DIGESTS = ".digests.json"  # in the run folder
-CACHE_TAG = "CACHEDIR.TAG"  # in a cache
 DROPPED = re.compile(  # names of files that macOS, Windows, desktops, NFS and editors drop; no stage reads them
     r"\.DS_Store|\._.*|(eh)?thumbs\.db|desktop\.ini|\.directory|\.nfs[0-9a-f]+|.*~|#.*#|\..*\.sw[a-p]|.*\.(bak|orig)",
     re.IGNORECASE,
@@ -180,7 +179,7 @@ def _read(path: Path) -> dict[str, list]:
 def raw_files(folder: Path) -> list[Path]:
     """All files below a folder, in order, that can be anything of the user's.
 
-    Not so those of runs (known by log or digests) and of caches (by their tag), and what systems and editors leave.
+    Not so those of runs (known by log or digests), and what systems and editors leave.
     """
     found = []
     for root, folders, files in os.walk(folder):
@@ -188,7 +187,7 @@ def raw_files(folder: Path) -> list[Path]:
         folders[:] = [
             name
             for name in folders
-            if not any((here / name / mark).is_file() for mark in (LOG_FILE, DIGESTS, CACHE_TAG))
+            if not any((here / name / mark).is_file() for mark in (LOG_FILE, DIGESTS))
         ]
         found += [file for name in files if not DROPPED.fullmatch(name) and (file := here / name).is_file()]
     return sorted(found)

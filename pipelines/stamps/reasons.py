@@ -7,8 +7,6 @@ from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.digests import Digests
 from devrf.pipelines.stamps.stamp import damage
 
-MOST_FILES = 3  # files of code that are named; an update of the program changes them all
-
 
 def why_stale(stage: Stage, folder: Path, stamp: dict, now: dict, digests: Digests | None) -> list[str]:
     """Reasons why a stage's folder does not fit; empty where it does.
@@ -34,7 +32,8 @@ def why_stale(stage: Stage, folder: Path, stamp: dict, now: dict, digests: Diges
         else:
             again = "was made again" if stage.quotes_stamps else "came out differently"
             reasons.append(f"{name} {'is not made' if made is None else again}")
-    reasons += _code_change(then, now)
+    changed = [_shown(name) for name, _, _ in _differences(then, now, "rooms")]
+    reasons += [f"the code changed ({', '.join(changed)})"] if changed else []
     for name, old, new in _differences(then, now, "libraries"):
         reasons.append(
             f"{name} {old} is no longer there"
@@ -76,17 +75,6 @@ def _file_change(old: Any, new: Any) -> str:
     return "newly given" if old is None else "no longer given" if new is None else "content changed"
 
 
-def _code_change(then: dict, now: dict) -> list[str]:
-    changed = [_shown(name) for name, _, _ in _differences(then, now, "code")]
-    if not changed:
-        return []
-    more = len(changed) - MOST_FILES
-    names = ", ".join(changed[:MOST_FILES]) + (f" and {more} more" if more > 0 else "")
-    return [f"the code changed ({names})"]
-
-
-def _shown(module: str) -> str:
-    """devrf.flow.dis -> flow/dis.py; a file beside a module -> its folder and name."""
-    name, _, beside = module.removeprefix("devrf.").partition(":")
-    path = name.replace(".", "/")
-    return f"{path.rpartition('/')[0]}/{beside}" if beside else f"{path}.py"
+def _shown(part: str) -> str:
+    """A folder of code with a slash behind it."""
+    return part if part.endswith(".py") else f"{part}/"

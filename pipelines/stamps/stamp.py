@@ -2,18 +2,20 @@
 
 A stamp holds the configuration values the stage depends on, content digests of the raw files among them (so touching,
 renaming or moving a file changes nothing), the content of each stage it read (so a stage that was made again and came
-out the same makes nothing else stale), the files of code and the libraries that worked, and size and digest of every
-file it left. Times are for people; they decide nothing. Nor do the device, Python's version or the machine: results
-differ by rounding there, and nobody wants to lose a night's training to that.
+out the same makes nothing else stale), the version of the program and of the libraries that worked, the code of the
+rooms that the stage may import, and size and digest of every file it left. Times are for people; they decide nothing.
+Nor do the device, Python's version or the machine: results differ by rounding there, and nobody wants to lose a night's
+training to that.
 """
 
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import devrf
 from devrf.capture.durable import parse_json
 from devrf.capture.limits import is_device
 from devrf.pipelines.stage import Stage
@@ -30,7 +32,7 @@ IN_ORDER = ("capture.cameras",)  # sections whose order counts: the first camera
 
 def code_of_stage(stage: Stage, config: "SceneConfig") -> Code:
     """The code that makes a stage."""
-    return code_of(stage.module, stage.plug_ins(config))
+    return code_of(stage.name, stage.rooms, stage.plug_ins(config))
 
 
 def identity(
@@ -40,7 +42,6 @@ def identity(
     run_dir: Path,
     reads: Iterable[str],
     digests: Digests,
-    expected: Mapping[str, str] | None = None,
 ) -> dict:
     """What a stage's result depends on, as far as it can be known now.
 
@@ -51,7 +52,6 @@ def identity(
         run_dir: The run folder; stages it reads may or may not have been made.
         reads: Names of the stages it reads that apply to this configuration.
         digests: Source of content digests.
-        expected: Content that stages will have which are not made yet, by name.
     """
     from devrf.pipelines.config.files import input_paths
 
@@ -74,14 +74,15 @@ def identity(
     version_of = stamp_id if stage.quotes_stamps else stamp_content
     made = {name: version_of(run_dir / name) for name in reads}
     code = code_of_stage(stage, config)
-    made |= {name: content for name, content in (expected or {}).items() if name in made}
     return {
         "config": values,
         "inputs": inputs,
         "places": places,
         "reads": made,
-        "code": code.sources,
-        "libraries": {name: series(version) for name, version in code.libraries.items()},
+        "rooms": code.rooms,
+        "libraries": {
+            name: series(version) for name, version in {"devrf": devrf.__version__, **code.libraries}.items()
+        },
     }
 
 
@@ -187,11 +188,6 @@ def is_whole(stamp: dict) -> bool:
         and isinstance(files, dict)
         and all(isinstance(entry, list) and tuple(map(type, entry)) == (int, str) for entry in files.values())
     )
-
-
-def size_in(stamp: dict) -> int | None:
-    """Bytes of all files that a stamp names; None where it is not whole."""
-    return sum(size for size, _ in stamp["files"].values()) if is_whole(stamp) else None
 
 
 def damage(folder: Path, stamp: dict, digests: Digests) -> list[str]:

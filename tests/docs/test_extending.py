@@ -84,7 +84,7 @@ def test_the_flow_method(
     with (target / "one_shift.py").open("a") as module:
         module.write("# another version\n")
     (reason,) = why(devrf_process, scene, "flow", *method)
-    assert "one_shift.py" in reason
+    assert "one_shift" in reason
 
 
 def why(devrf_process: Command, scene: Path, stage: str, *arguments: str) -> list[str]:

@@ -52,7 +52,7 @@ def test_the_runners_share_of_a_stage(example_run: ExampleRun, figures) -> None:
     started = {event["stage"]: event for event in events if event["event"] == "stage_started"}
     shares = {}
     for event in events:
-        if event["event"] != "stage_finished" or event["from_cache"]:
+        if event["event"] != "stage_finished":
             continue
         whole_s = _seconds(event) - _seconds(started[event["stage"]])
         shares[event["stage"]] = (round(whole_s - event["seconds"], 3), round(event["seconds"], 3))

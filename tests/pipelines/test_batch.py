@@ -18,10 +18,10 @@ from tests.waiting import wait_for
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch import command, scenes
 from devrf.pipelines.batch import task as batch_task
-from devrf.pipelines.batch.groups import ON_GPU, groups
 from devrf.pipelines.batch.rows import STOPPED_MESSAGE
 from devrf.pipelines.batch.scenes import Options, look, stand
 from devrf.pipelines.batch.task import Task, run_task
+from devrf.pipelines.config.gone import gone_option
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 from devrf.pipelines.runner.plan import Standing
@@ -110,9 +110,10 @@ def test_the_files_of_a_fresh_scene_are_not_opened(whole: Path, monkeypatch: pyt
     monkeypatch.setattr(scenes, "check_folder", opened)
     options = Options()
     (scene,) = look([whole / "a"], options)
-    stand(scene, options, whole / "a/run")
+    stand(scene)
     assert scene.to_do == [] and len(scene.stages) == 5 and scene.problem is None
-    stand(scene, options, whole / "empty")
+    (scene,) = look([whole / "a"], Options(overrides=("output=empty",)))
+    stand(scene)
     assert scene.problem == "looked at"
 
 
@@ -124,7 +125,7 @@ def test_what_a_look_has_read_nobody_reads_again(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(digests, "_entry", lambda path: (read.append(path), entry(path))[1])
     for expected in (10, 0):
         (scene,) = look([tmp_path / "a"], Options())
-        stand(scene, Options(), tmp_path / "a/run")
+        stand(scene)
         assert len(read) == expected
         read.clear()
 
@@ -141,8 +142,6 @@ def test_scenes_that_collide_are_refused(tmp_path: Path) -> None:
     twice = look([tmp_path / "c", tmp_path / "c/scene.yaml", tmp_path / "a"], options)
     assert ["the same scene" in (s.problem or "") for s in twice] == [True, True, False]
     scene.write_text(scene.read_text().replace("output: ../a/run", "").replace("name: b", "name: a"))
-    named = look([tmp_path / "a", tmp_path / "b"], options, unique_names=True)
-    assert all("the same name" in (s.problem or "") for s in named)
     assert all(s.problem is None for s in look([tmp_path / "a", tmp_path / "b"], options))
 
 
@@ -157,33 +156,43 @@ def test_one_that_fails_while_it_runs_stops_no_other(tmp_path: Path, devrf: Comm
     assert "another run" in rows["a"]["message"] and rows["b"]["state"] == "done"
 
 
-def test_groups_split_where_training_begins(tmp_path: Path) -> None:
+def test_a_scene_is_run_from_the_first_stage_that_is_to_be_made(tmp_path: Path) -> None:
     (scene,) = look([tiny_scene(tmp_path, "a")], Options())
-    assert scene.config is not None
     names = ("ingest", "scene", "flow", "canonical", "report")
-    stages = [stage for stage in STAGES if stage.name in names]
 
-    def split(*fresh: str, gpu: bool = True, moves: bool = True, **flow: str) -> list[tuple[str, ...]]:
-        assert scene.config is not None
-        config = scene.config.model_copy(update={"flow": scene.config.flow.model_copy(update=flow)})
-        standing = [
-            Standing(s, "fresh" if s.name in fresh else "missing", ())
-            for s in stages
-            if moves or s.name != "flow"
-        ]
-        found = groups(config, standing, gpu)
-        assert all(on_gpu == (gpu and "canonical" in stages) for stages, on_gpu in found)
-        return [stages for stages, _ in found]
+    def to_do(*fresh: str) -> list[str]:
+        stages = (stage for stage in STAGES if stage.name in names)
+        scene.standing = [Standing(s, "fresh" if s.name in fresh else "missing", ()) for s in stages]
+        return scene.to_do
 
-    assert split() == [names[:3], names[3:]]
-    assert split(gpu=False) == [names]
-    assert split(method="raft") == [names[:2], names[2:]]
-    assert split("ingest", "scene", "flow") == [names[3:]]
-    assert split("ingest", "flow") == [names[1:3], names[3:]]
-    assert split(moves=False, method="raft") == [names[:2], names[3:]]
-    assert split(*names[:4]) == [names[4:]]  # the report alone takes no GPU from others
-    assert split(*names) == []
-    assert {stage.name for stage in STAGES} >= ON_GPU
+    assert to_do() == list(names)
+    assert to_do("ingest", "flow") == list(names[1:])
+    assert to_do(*names[:4]) == ["report"]
+    assert to_do(*names) == []
+
+
+@pytest.mark.parametrize(
+    ("cores", "gpus", "jobs", "expected"),
+    [
+        (8, 0, None, (2, 4, 0)),  # as much as memory allows
+        (2, 0, None, (1, 2, 0)),
+        (8, 0, 4, (4, 2, 0)),
+        (8, 2, None, (2, 4, 2)),
+        (8, 2, 6, (2, 4, 2)),  # a GPU each
+        (8, 2, 1, (1, 8, 2)),
+    ],
+)
+def test_shares_of_this_machine(
+    monkeypatch: pytest.MonkeyPatch, cores: int, gpus: int, jobs: int | None, expected: tuple[int, int, int]
+) -> None:
+    """Scenes at once, cores and memory of each, GPUs."""
+    monkeypatch.setattr(command, "usable_cores", lambda: cores)
+    monkeypatch.setattr(command, "left_bytes", lambda: 9e9 / (1 - command.RESERVE))
+    monkeypatch.setattr(command, "resolve_device", lambda device: "cuda" if gpus else "cpu")
+    monkeypatch.setattr("torch.cuda.device_count", lambda: gpus)
+    pool = command._local(command.Machines(jobs=jobs))
+    assert (pool._places.qsize(), pool.threads, pool.gpus) == expected
+    assert pool.memory_gb == pytest.approx(9 / expected[0])
 
 
 @pytest.mark.parametrize(
@@ -216,8 +225,20 @@ def test_a_gpu_that_is_not_there_is_said_before_the_scenes_are_looked_at(
     for device, refusal in (("cuda", "gpu-missing"), ("gpu", "option-unknown-value")):
         with refused(refusal, f"--device {device}", kind=InputError):
             command.batch(
-                Talk("quiet"), [tmp_path], Options(), command.Machines(device=device), tmp_path / "o", None
+                Talk("quiet"), [tmp_path], Options(), command.Machines(device=device), tmp_path / "o"
             )
+
+
+def test_a_summary_that_cannot_be_made_is_a_mistake_of_the_command() -> None:
+    with refused("folder-unwritable", "--out /proc/x: ", kind=InputError):
+        command.batch(Talk("quiet"), [Path("a")], Options(), command.Machines(), Path("/proc/x"))
+
+
+def test_an_option_that_is_gone_says_what_to_do(devrf_process: Command, tmp_path: Path) -> None:
+    result = devrf_process("batch", tmp_path, "--store=s3://bucket/night")
+    assert result.code == BAD_INPUT
+    assert "--store: is no longer an option" in result.said and "[option-gone]" in result.said
+    assert gone_option(["run", "scene.yaml", "--store"]) is None
 
 
 # --- stopped, killed ---
@@ -281,15 +302,15 @@ def test_an_error_of_ours_ends_the_run_too(tmp_path: Path, monkeypatch: pytest.M
     started: list[subprocess.Popen] = []
     start = subprocess.Popen
 
-    def meanwhile() -> None:
+    def full() -> bool:
         if list(run_dir.glob(".new-canonical*")):
             raise OSError(28, "No space left on device")
+        return False
 
-    monkeypatch.setattr(batch_task, "MEANWHILE_S", 0.1)
     monkeypatch.setattr(
         batch_task.subprocess, "Popen", lambda *a, **k: (started.append(start(*a, **k)), started[-1])[1]
     )
-    with pytest.raises(OSError) as full:
-        batch_task._run(task, lambda: False, meanwhile, None)
-    assert full.value.errno == 28 and [process.returncode for process in started] == [STOPPED]
+    ended = run_task(task, full)
+    assert ended.code == FAILED and ended.message is not None and "No space left" in ended.message
+    assert [process.returncode for process in started] == [STOPPED]
     assert not list(run_dir.glob(".lock")) and not list(run_dir.glob(".new-*"))

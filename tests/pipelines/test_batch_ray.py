@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,11 +16,13 @@ from tests.pipelines.tiny_scenes import tiny_scene
 from tests.refused import refused
 from tests.waiting import wait_for
 
+import devrf
 from devrf.capture.errors import InputError
 from devrf.pipelines.batch import ray_cluster
 from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.batch.rows import STOPPED_MESSAGE
-from devrf.pipelines.exit_codes import DONE, STOPPED
+from devrf.pipelines.batch.task import Task
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 
 pytest.importorskip("ray")
 SCENES = {"small": 4, "full": 16}
@@ -29,7 +32,7 @@ import sys
 from ray.cluster_utils import Cluster
 cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
 other = cluster.add_node(num_cpus=1)
-print(cluster.address, other.node_id, flush=True)
+print(cluster.address, flush=True)
 for line in sys.stdin:
     if line == "kill\\n":
         cluster.remove_node(other, allow_graceful=False)
@@ -50,7 +53,7 @@ class Nodes:
             text=True,
         )
         assert self._process.stdout is not None
-        self.address, self.other = self._process.stdout.readline().split()
+        self.address = self._process.stdout.readline().strip()
 
     def kill_the_other(self) -> None:
         """SIGKILL to one node; its scheduler, and with it all that it began, is gone."""
@@ -117,27 +120,27 @@ def test_all_scenes_finish_though_a_node_is_killed(
     nodes: Nodes, tmp_path: Path, faults: Literal["small", "full"], figures: Figures
 ) -> None:
     names = [f"scene{n}" for n in range(SCENES[faults])]
-    batch = start_batch(tmp_path, nodes, names, 10)
+    batch = start_batch(tmp_path, nodes, names, 40)
 
-    def lasting() -> list[str]:
-        """Scenes in training on the node that will be lost, once a quarter of all is done."""
-        if sum(row["code"] == DONE for row in rows(tmp_path)) < len(names) // 4:
-            return []
-        on_it = [r["name"] for r in rows(tmp_path) if nodes.other[:6] in "".join(r["nodes"][-1:])]
-        return [name for name in on_it if list(tmp_path.glob(f"{name}/run/.new-canonical*"))]
+    def in_training() -> bool:
+        """Whether both nodes train, once a quarter of all is done."""
+        done = sum(row["code"] == DONE for row in rows(tmp_path))
+        return done >= len(names) // 4 and len(list(tmp_path.glob("*/run/.new-canonical*"))) == 2
 
-    wait_for(lasting, process=batch)
-    lost = lasting()
+    wait_for(in_training, process=batch)
+    training = {path.parents[1].name for path in tmp_path.glob("*/run/.new-canonical*")}
     nodes.kill_the_other()
     said, _ = batch.communicate(timeout=1800)
     assert batch.returncode == DONE, said
     found = {row["name"]: row for row in rows(tmp_path)}
     assert {row["state"] for row in found.values()} == {"done"}
-    assert [name for name, row in found.items() if row["lost"]] == lost, said
+    (lost,) = (name for name, row in found.items() if row["lost"])
+    assert lost in training and found[lost]["lost"] == 1, said
+    assert all(len(row["nodes"]) == 1 for row in found.values())  # where it came to its end
     for name in names:
         assert (tmp_path / name / "run/report/stamp.json").is_file()
         assert not list((tmp_path / name / "run").glob(".new-*"))
-    figures(batch_scenes=len(names), done=sum(row["code"] == DONE for row in found.values()), lost=len(lost))
+    figures(batch_scenes=len(names), done=sum(row["code"] == DONE for row in found.values()), lost=1)
     assert "begun anew" in said and "raylet" not in said
 
 
@@ -165,11 +168,23 @@ def test_shares_follow_the_nodes_that_can_work(monkeypatch: pytest.MonkeyPatch) 
     )
     monkeypatch.setattr(ray_cluster, "_connected", lambda address: Nothing(*nodes))
     cluster = RayCluster("auto", None, 2, "auto")
-    assert (cluster.threads, cluster.memory_gb, cluster.gpus) == (2, 6.0, 1)
+    assert (cluster.threads, cluster.memory_gb, cluster.gpus) == (4, 16.0, 1)  # of the node with a GPU
+    cluster = RayCluster("auto", None, 2, "cpu")
+    assert (cluster.threads, cluster.memory_gb, cluster.gpus) == (2, 6.0, 0)
     assert RayCluster("auto", 3, 2, "cpu").threads == 4
     monkeypatch.setattr(ray_cluster, "_connected", lambda address: Nothing(*nodes[2:]))
     with refused("cluster-without-memory", "--address auto", kind=InputError):
         RayCluster("auto", None, 2, "auto")
+
+
+def test_a_node_that_does_not_see_the_scene_says_what_is_required(tmp_path: Path) -> None:
+    scene = tiny_scene(tmp_path, "a")
+    task = Task(scene, tmp_path / "a/run", ("scene",), (), 1, False)
+    for there in (task, replace(task, path=tmp_path / "none.yaml", run_dir=tmp_path)):
+        ended = ray_cluster._carry_out(there, devrf.__version__)
+        assert ended.code == BAD_INPUT and "must lie on a disk that all machines share" in str(ended.message)
+    ended = ray_cluster._carry_out(task, "0.0.1")
+    assert ended.code == FAILED and "install one everywhere" in str(ended.message)
 
 
 def test_without_ray_the_remedy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,11 +57,11 @@ def test_on_a_terminal_what_runs_is_shown(tmp_path: Path) -> None:
     talk, screen = Talk("normal"), io.StringIO()
     talk.out = Console(file=screen, force_terminal=True, width=120)
     rows = rows_with(None, None, 0)
-    rows[0].state, rows[0].nodes, rows[0].made = "running", ["node7"], ["ingest", "sync"]
+    rows[0].state, rows[0].made = "running", ["ingest", "sync"]
     with Board(talk, tmp_path, rows, "local").live():
         pass
     shown = screen.getvalue()
-    assert "node7" in shown and "ingest, sync" in shown and "1 waiting" in shown
+    assert "scene0" in shown and "ingest, sync" in shown and "1 waiting" in shown
 
 
 def test_the_file_follows_the_rows_and_stops_nothing_where_it_cannot_be_written(
@@ -93,10 +93,10 @@ def worked(
     monkeypatch.setattr(local, "run_task", run)
     scenes = look([tiny_scene(folder, name) for name in names], Options())
     for scene in scenes:
-        stand(scene, Options(), scene.scene_dir / "run")
+        stand(scene)
     rows = [SceneRow(str(scene.path), scene.name, None) for scene in scenes]
     board = Board(Talk("quiet"), folder, rows, "local")
-    Work(Options(), pool, board, lambda scene, row: None).through(scenes)
+    Work(Options(), pool, board).through(scenes)
     return rows
 
 
@@ -104,13 +104,13 @@ def worked(
     ("gpus", "codes", "expected", "lost"),
     [
         (0, [DONE], DONE, 0),
-        (1, [DONE, DONE], DONE, 0),  # what needs a GPU follows what does not ...
-        (1, [FAILED], FAILED, 0),  # ... unless that failed
+        (1, [DONE], DONE, 0),
+        (0, [FAILED], FAILED, 0),
         (0, [None, None, None, DONE], DONE, 3),
         (0, [None] * ATTEMPTS, FAILED, 4),
     ],
 )
-def test_tasks_follow_each_other_and_are_begun_anew_where_a_machine_is_lost(
+def test_a_task_is_begun_anew_where_a_machine_is_lost(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     gpus: int,
@@ -121,35 +121,38 @@ def test_tasks_follow_each_other_and_are_begun_anew_where_a_machine_is_lost(
     left, begun = deque(codes), []
 
     def run(task: Task, stop: object, gpu: int | None) -> Ended:
+        assert (task.gpu, gpu) == ((True, 0) if gpus else (False, None))
         begun.append((task.attempt, task.stages[0]))
         return Ended(left.popleft(), "as it is told")
 
     (row,) = worked(tmp_path, monkeypatch, run, LocalPool(1, 1, 1.0, gpus), ["a"])
     assert (row.code, row.lost, len(left)) == (expected, lost, 0)
-    assert [attempt for attempt, _ in begun] == ([1, 1] if len(codes) == 2 else [*range(1, len(codes) + 1)])
-    assert [stage for _, stage in begun][-1:] == (["canonical"] if codes == [DONE, DONE] else ["scene"])
+    assert begun == [(attempt, "scene") for attempt in range(1, len(codes) + 1)]
 
 
-def test_tasks_share_cores_and_gpus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    running = {True: 0, False: 0}
-    most, used, lock = {True: 0, False: 0}, set(), threading.Lock()
+@pytest.mark.parametrize(("gpus", "at_once", "places"), [(0, 3, {None}), (2, 2, {0, 1})])
+def test_tasks_share_the_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gpus: int, at_once: int, places: set[int | None]
+) -> None:
+    running, most, used, lock = 0, 0, set(), threading.Lock()
 
     def run(task: Task, stop: object, gpu: int | None) -> Ended:
+        nonlocal running, most
         with lock:
-            running[task.gpu] += 1
-            most[task.gpu] = max(most[task.gpu], running[task.gpu])
+            running += 1
+            most = max(most, running)
             used.add(gpu)
         time.sleep(0.05)
         with lock:
-            running[task.gpu] -= 1
+            running -= 1
         if task.path.parent.name == "s7":
             raise OSError("no more processes")
         return Ended(DONE)
 
     names = [f"s{n}" for n in range(12)]
-    rows = worked(tmp_path, monkeypatch, run, LocalPool(3, 1, 1.0, 2), names)
+    rows = worked(tmp_path, monkeypatch, run, LocalPool(3, 1, 1.0, gpus), names)
     assert {row.name: row.code for row in rows if row.code != DONE} == {"s7": FAILED}
-    assert most == {False: 3, True: 2} and used == {None, 0, 1}
+    assert most == at_once and used == places
 
 
 def test_stopped_it_begins_nothing_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

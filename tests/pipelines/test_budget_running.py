@@ -16,7 +16,6 @@ from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.static_poses import sweep_options
-from devrf.pipelines.stamps.cache import USERS
 
 
 def configured(**sections: object) -> SceneConfig:
@@ -26,7 +25,7 @@ def configured(**sections: object) -> SceneConfig:
 
 
 def room(folder: Path, disk_gb: float | None = None) -> Room:
-    return room_of(configured(budget={"disk_gb": disk_gb}), folder, folder)
+    return room_of(configured(budget={"disk_gb": disk_gb}), folder)
 
 
 def test_a_stage_is_stopped_before_the_disk_is_full(
@@ -52,16 +51,10 @@ def test_a_stage_is_stopped_before_the_disk_is_full(
 
 def test_nothing_is_stopped_while_there_is_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(disk, "WATCH_S", 0.01)
-    monkeypatch.delenv(USERS, raising=False)
-    with watched(configured(budget={"disk_gb": 1.0}), tmp_path, tmp_path):
+    with watched(configured(budget={"disk_gb": 1.0}), tmp_path):
         time.sleep(0.1)
     found = room(tmp_path / "not" / "yet")
     assert 0 < found.count < shutil.disk_usage(tmp_path).free and "budget." not in found.bound
-    cache = tmp_path / "cache"
-    assert str(cache) not in found.remedy
-    cache.mkdir()
-    found = room_of(configured(cache={"folder": str(cache)}), tmp_path, tmp_path)
-    assert str(cache) in found.remedy
     (tmp_path / "large").write_bytes(bytes(2_000_000))
     found = room(tmp_path, 0.001)
     assert found.count == -1_000_000 and "budget.disk_gb is 0.001" in found.bound

@@ -62,7 +62,7 @@ def test_a_run_tells_programs_what_happened(folder: Path) -> None:
     kinds = [event["event"] for event in first]
     assert kinds[0] == "run_started" and kinds[-1] == "run_finished"
     assert [e["stage"] for e in first if e["event"] == "stage_finished"] == ALL
-    assert (first[-1]["code"], first[-1]["executed"], first[-1]["taken"]) == (0, ALL, [])
+    assert (first[-1]["code"], first[-1]["executed"]) == (0, ALL)
     (decided,) = (e for e in first if e["event"] == "decision")
     assert (decided["stage"], decided["text"]) == ("second", "fewer voxels: the pictures show no more")
     (health,) = (e for e in first if e["event"] == "health" and e["stage"] == "second")
@@ -72,7 +72,7 @@ def test_a_run_tells_programs_what_happened(folder: Path) -> None:
     (finished,) = (e for e in second if e["event"] == "stage_finished")
     stamp = json.loads((folder / "run/other/stamp.json").read_text())
     assert finished["id"] == stamp["id"] and finished["seconds"] == stamp["seconds"] >= 0
-    assert finished["peak_rss_gb"] > 0 and finished["from_cache"] is False
+    assert finished["peak_rss_gb"] > 0
     assert stamp["run"] == run.name  # from a number to its stage, to its run, to its log
     assert [e["stage"] for e in second if e["event"] == "stage_skipped"] == ["first", "second", "third"]
     times = [event["time"] for event in events]

@@ -24,15 +24,13 @@ from tests.waiting import wait_for
 
 from devrf.capture.errors import CaptureError, HealthError, InputError, OutOfTime
 from devrf.pipelines.cli import render
-from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.run_command import say_where
 from devrf.pipelines.runner import plan
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice, standings
+from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import check_choice, dry_run
 from devrf.pipelines.stage import Stage, StageContext
 
@@ -107,13 +105,13 @@ def test_a_film_of_a_scene_that_never_ran_is_refused(folder: Path, capsys: pytes
 )
 def test_choice_is_checked(folder: Path, choice: Choice, named: tuple[str, ...]) -> None:
     with refused("stages-misnamed", *named, kind=InputError) as caught:
-        check_choice(load_scene(folder / "scene.yaml"), small_stages(), choice)
+        check_choice(job(folder, small_stages(), choice=choice))
     assert len(str(caught.value).splitlines()) == sum(name[0] == "-" for name in named)
 
 
 def test_what_is_forced_may_lie_within_the_range(folder: Path) -> None:
     for force in ("second", "third", "all"):
-        check_choice(load_scene(folder / "scene.yaml"), small_stages(), Choice("second", "third", (force,)))
+        check_choice(job(folder, small_stages(), choice=Choice("second", "third", (force,))))
 
 
 def test_dry_run_touches_nothing(folder: Path, capsys: pytest.CaptureFixture) -> None:
@@ -213,14 +211,14 @@ def test_more_than_the_gpus_budget_is_said_to_be_that(folder: Path, capsys: pyte
 def test_a_failure_is_remembered_until_it_is_mended(folder: Path) -> None:
     run = job(folder, small_stages(second=fail(CaptureError("clip-damaged", "damaged"))))
     assert execute(run) == FAILED
-    found = standings(run.stages, run.config, folder, run.run_dir)
+    found = run.standings()
     assert [now.state for now in found] == ["fresh", "missing", "missing", "missing"]
     assert found[1].error == "second: damaged"
     remembered = json.loads(plan.error_path(run.run_dir, "second").read_text())
     assert remembered == {"message": "second: damaged", "code": FAILED, "error": "clip-damaged"}
     assert "Traceback" in (folder / "run/devrf.log").read_text()
     executed(folder)
-    assert standings(run.stages, run.config, folder, run.run_dir)[1].error is None
+    assert run.standings()[1].error is None
 
 
 def test_a_forced_stage_that_was_stopped_runs_again(folder: Path) -> None:
@@ -228,7 +226,7 @@ def test_a_forced_stage_that_was_stopped_runs_again(folder: Path) -> None:
     forced = Choice(force=("second",))
     assert execute(job(folder, small_stages(second=fail(KeyboardInterrupt())), choice=forced)) == STOPPED
     run = job(folder, small_stages())
-    found = standings(run.stages, run.config, folder, run.run_dir)
+    found = run.standings()
     assert [now.why for now in found] == [(), ("forced before, and not finished",), (), ("second runs",)]
     assert executed(folder) == ["second"]
     assert executed(folder) == []
@@ -369,11 +367,10 @@ def test_a_signal_in_a_callback_of_the_garbage_collector_is_not_lost(
 
 
 def test_reads_of_leaves_out_what_does_not_apply(folder: Path) -> None:
-    config: SceneConfig = load_scene(folder / "scene.yaml")
     first = Stage("first", (), (), lambda config: "no sweep", write("x"))
     second = stage("second", ("first",), ())
-    assert plan.reads_of(second, (first, second), config) == []
     run = job(folder, (first, second))
+    assert run.reads_of(second) == []
     assert execute(run) == DONE
     assert run.executed == ["second"]
 

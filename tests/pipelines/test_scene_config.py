@@ -265,9 +265,7 @@ def test_a_background_that_is_none(tmp_path: Path, written: str) -> None:
     assert str(error.value).startswith("scene.yaml: dataset.background: ") and len(error.value.mistakes) == 1
 
 
-@pytest.mark.parametrize(
-    "key", ["output", "capture.static", "cache.folder", "evaluate.truth", "flow.weights"]
-)
+@pytest.mark.parametrize("key", ["output", "capture.static", "evaluate.truth", "flow.weights"])
 @pytest.mark.parametrize(
     ("text", "named"),
     [

@@ -15,7 +15,6 @@ from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import ReconstructConfig, SceneConfig
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES, stage_names
-from devrf.pipelines.stamps.code_version import code_version, sources
 from devrf.pipelines.training_options import training_options
 
 CONTRACT = (
@@ -94,31 +93,6 @@ def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bo
 
     changes = rest(**{key: values.get(key, 77)}) != rest()
     assert changes == (f"reconstruct.{key}" in BY_NAME["canonical"].config_keys)
-
-
-def test_code_version_follows_imports() -> None:
-    flow = sources("devrf.pipelines.stages.flow")
-    assert {"devrf.pipelines.stages.flow", "devrf.flow.dis", "devrf.capture.scene"} <= flow.keys()
-    assert not any(name.startswith(("devrf.reconstruct", "devrf.pipelines.config.scene")) for name in flow)
-    report = sources("devrf.pipelines.stages.report")
-    beside = {name.split(":")[1] for name in report if ":" in name}  # what lies beside the code counts too
-    assert {"report.css", "report.js", "templates/page.html", "templates/summary.html"} <= beside
-
-
-def test_code_version_changes_with_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from devrf.pipelines.stamps import code_version as module
-
-    for room in ("flow", "capture"):
-        (tmp_path / room).mkdir()
-    (tmp_path / "flow/a.py").write_text("def f():\n    from devrf.capture import b\n")
-    (tmp_path / "capture/b.py").write_text("x = 1\n")
-    (tmp_path / "capture/c.py").write_text("x = 1\n")
-    monkeypatch.setattr(module, "_room", lambda room: tmp_path / room)
-    before = code_version("devrf.flow.a")
-    (tmp_path / "capture/c.py").write_text("x = 2\n")
-    assert code_version("devrf.flow.a") == before
-    (tmp_path / "capture/b.py").write_text("x = 2\n")
-    assert code_version("devrf.flow.a") != before
 
 
 @pytest.mark.parametrize(

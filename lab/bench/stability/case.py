@@ -23,7 +23,6 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.damage.intact import Damage, Intact
-from devrf.lab.sources import code_of
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
 from devrf.pipelines.health.rows import Verdict
@@ -34,6 +33,7 @@ from devrf.pipelines.runner.workspace import is_disk_full
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
+from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import STAMP, read_stamp
 from devrf.reconstruct.evaluate import motion_psnr
 
@@ -275,7 +275,7 @@ def _watched(stage: Stage, refusals: list[DevrfError]) -> Stage:
 def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:
     """The stage with other options of its training, or with damage behind it."""
     file = folder / "damage.json"
-    code = code_of("lab/bench/stability/damage", "lab/simulate/session")
+    code = code_version("lab/bench/stability/damage", "lab/simulate/session")
     file.write_text(json.dumps({"axis": axis, "severity": severity, "seed": seed, "code": code}))
 
     def run(context: Any) -> None:

@@ -21,7 +21,6 @@ from devrf.capture.scene import Scene
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.lab.bench.bench_rows import Row, publish
 from devrf.lab.bench.training.progress_views import Looks
-from devrf.lab.sources import code_of
 from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.runner.execute import execute
@@ -29,6 +28,7 @@ from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import lpips_nets, versions
+from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.checkpoint import Checkpoint
@@ -192,7 +192,7 @@ class Bench:
     def _fingerprint(self, *parts: Any) -> str:
         stamps = [(self.run.run_dir / name / STAMP).read_text() for name in ("scene", "flow")]
         plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
-        code = code_of("capture", "flow", "reconstruct", "lab/bench/training")
+        code = code_version("capture", "flow", "reconstruct", "lab/bench/training")
         return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
 
 

@@ -18,8 +18,8 @@ from devrf.lab.bench.stability.damage.intact import (
     with_capture,
 )
 from devrf.lab.simulate.session.damage import Picture, blurred, relit, write_again
-from devrf.lab.sources import code_of
 from devrf.pipelines.config.scene import SceneConfig
+from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.digests import file_digest
 
 
@@ -147,7 +147,7 @@ def _written(intact: Intact, source: Path, target: Path, write: Callable[[Path, 
     """
     said = target.with_suffix(".json")
     of = {
-        "code": code_of("lab/bench/stability/damage", "lab/simulate/session"),
+        "code": code_version("lab/bench/stability/damage", "lab/simulate/session"),
         "severity": intact.severity,
         "seed": intact.seed,
         "cameras": intact.cameras,
