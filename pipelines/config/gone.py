@@ -1,9 +1,18 @@
-"""Keys of scene.yaml that earlier versions had and this one has not.
+"""Keys of scene.yaml, and values of options, that earlier versions had and this one has not.
 
-A scene.yaml with one of them is refused like one with any other unknown key, but is told that the key is gone.
+They are refused like any other unknown key or value, but it is told that they are gone.
 """
 
+NO_GRIDS = "voxel grids are no longer written; read `model.safetensors` of the run instead"
+NO_LAYOUT = "this layout is no longer written; export to nerfstudio or colmap"
+
 GONE: dict[str, str] = {
+    "--format blender": NO_LAYOUT,
+    "--format devrf": NO_LAYOUT,
+    "--format llff": NO_LAYOUT,
+    "--format mesh": "meshes of single times are no longer written; export to glb with --times 1.5s and the like",
+    "--format npz": NO_GRIDS,
+    "--format zarr": NO_GRIDS,
     "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key, and see "
     "`mapper: both` for a comparison",
     "capture.raw.keep_linear": "pictures in linear light are no longer kept; remove the key, and develop the RAW files "
@@ -11,4 +20,4 @@ GONE: dict[str, str] = {
     "flow.preset": "DIS has one setting, the most accurate one (medium); remove the key",
     "reconstruct.learn_clocks": "`tiny` and `fast` find a camera whose clock is wrong by themselves; remove the key",
 }
-"""Dotted key -> what does its work now, and what to do."""
+"""Dotted key, or option and value -> what does its work now, and what to do."""

@@ -98,7 +98,7 @@ def test_a_damaged_flat_field_is_named(tmp_path):
         Look(flat=tmp_path / "flat.npy").apply(picture())
 
 
-@pytest.mark.parametrize("dataset_format", ["nerfstudio", "colmap", "llff"])
+@pytest.mark.parametrize("dataset_format", ["nerfstudio", "colmap"])
 def test_exports_hold_corrected_pictures(tmp_path, dataset_format):
     write_png(tmp_path / "a.png", picture())
     look = Look(MIXED)
