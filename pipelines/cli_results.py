@@ -213,8 +213,7 @@ def export(
         typer.Option(
             "--format",
             help="data sets: nerfstudio or colmap; the model: ply (point clouds), glb (an animated mesh), splat (3D "
-            "Gaussians) or player (a page); only cameras: rig-anipose, rig-caliscope, rig-colmap, rig-easymocap, "
-            "rig-kalibr, rig-opencv or rig-pose2sim",
+            "Gaussians) or player (a page); only cameras: rig-caliscope, rig-colmap or rig-opencv",
         ),
     ],
     out: Annotated[

@@ -4,6 +4,7 @@ They are refused like any other unknown key or value, but it is told that they a
 """
 
 NO_GRIDS = "voxel grids are no longer written; read `model.safetensors` of the run instead"
+NO_RIG = "this calibration is no longer written; export to rig-opencv, rig-colmap or rig-caliscope"
 NO_LAYOUT = "this layout is no longer written; export to nerfstudio or colmap"
 
 GONE: dict[str, str] = {
@@ -12,6 +13,7 @@ GONE: dict[str, str] = {
     "--format llff": NO_LAYOUT,
     "--format mesh": "meshes of single times are no longer written; export to glb with --times 1.5s and the like",
     "--format npz": NO_GRIDS,
+    **{f"--format rig-{tool}": NO_RIG for tool in ("anipose", "easymocap", "kalibr", "pose2sim")},
     "--format zarr": NO_GRIDS,
     "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key, and see "
     "`mapper: both` for a comparison",

@@ -15,8 +15,8 @@ import yaml
 from PIL import Image
 from tests.datasets import write_set
 from tests.faults.mutations import BINARY, JSON, TEXT, Mutation
+from tests.rigs import RIG_LAYOUTS
 
-from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.formats.flow_files import write_flow_file
@@ -250,7 +250,7 @@ def _calibrations(folder: Path, data: Path, out: dict[str, Target]) -> None:
         K = np.array([[90.0, 0, SIZE[0] / 2], [0, 90.0, SIZE[1] / 2], [0, 0, 1]])
         cameras[name] = Camera(*SIZE, K, pose, np.array([-0.1, 0.01, 0.0, 0.0, 0.0]))
     clips = {"cam0": "../../clips/made.mp4", "cam1": "../../clips/made.mkv"}
-    for name, write in RIG_WRITERS.items():
+    for name, write in RIG_LAYOUTS.items():
         place = scene_yaml(folder / name)
         (place / "given").mkdir()
         write(place / "given", cameras, True)
