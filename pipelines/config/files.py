@@ -74,7 +74,7 @@ def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:
         if not text.strip():
             say(key, "is empty; expected a path")
         elif not path.exists():
-            hint = "; or one of chroma, background" if key == "capture.mattes.folder" else ""
+            hint = "; or chroma" if key == "capture.mattes.folder" else ""
             say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}{hint}")
         elif not (path.is_file() or path.is_dir()):
             say(key, f"{text!r} is a device or a pipe; expected a file")

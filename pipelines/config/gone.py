@@ -1,25 +1,40 @@
-"""Keys of scene.yaml, and values of options, that earlier versions had and this one has not.
+"""Keys of scene.yaml, and values of keys and options, that earlier versions had and this one has not.
 
 They are refused like any other unknown key or value, but it is told that they are gone.
 """
 
+NO_PROGRAM = (
+    "programs are no longer run; run yours on the pictures, and name its folder of mattes (`mattes: FOLDER`)"
+)
 NO_GRIDS = "voxel grids are no longer written; read `model.safetensors` of the run instead"
-NO_RIG = "this calibration is no longer written; export to rig-opencv, rig-colmap or rig-caliscope"
 NO_LAYOUT = "this layout is no longer written; export to nerfstudio or colmap"
+NO_RIG = "this calibration is no longer written; export to rig-opencv, rig-colmap or rig-caliscope"
 
 GONE: dict[str, str] = {
-    "--format blender": NO_LAYOUT,
-    "--format devrf": NO_LAYOUT,
-    "--format llff": NO_LAYOUT,
-    "--format mesh": "meshes of single times are no longer written; export to glb with --times 1.5s and the like",
-    "--format npz": NO_GRIDS,
-    **{f"--format rig-{tool}": NO_RIG for tool in ("anipose", "easymocap", "kalibr", "pose2sim")},
-    "--format zarr": NO_GRIDS,
     "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key, and see "
     "`mapper: both` for a comparison",
+    "capture.mattes.command": NO_PROGRAM,
+    "capture.mattes.timeout_s": NO_PROGRAM,
     "capture.raw.keep_linear": "pictures in linear light are no longer kept; remove the key, and develop the RAW files "
     "with another program where they are needed",
     "flow.preset": "DIS has one setting, the most accurate one (medium); remove the key",
     "reconstruct.learn_clocks": "`tiny` and `fast` find a camera whose clock is wrong by themselves; remove the key",
 }
-"""Dotted key, or option and value -> what does its work now, and what to do."""
+"""Dotted key -> what does its work now, and what to do."""
+
+GONE_VALUES: dict[str, str] = {
+    "--format blender": NO_LAYOUT,
+    "--format devrf": NO_LAYOUT,
+    "--format llff": NO_LAYOUT,
+    "--format mesh": "meshes of single times are no longer written; export to glb with --times 1.5s and the like",
+    "--format npz": NO_GRIDS,
+    "--format rig-anipose": NO_RIG,
+    "--format rig-easymocap": NO_RIG,
+    "--format rig-kalibr": NO_RIG,
+    "--format rig-pose2sim": NO_RIG,
+    "--format zarr": NO_GRIDS,
+    "capture.mattes.method: background": "mattes by a clean plate are no longer made; make them with another program, "
+    "and name their folder (`mattes: FOLDER`)",
+    "capture.mattes.method: command": NO_PROGRAM,
+}
+"""Option or dotted key, and value -> the same."""

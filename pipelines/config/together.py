@@ -102,8 +102,6 @@ def _missing(config: SceneConfig, capture: CaptureConfig, *, board_is_wrong: boo
                 "is missing, and without a sweep the cameras' poses come from a board that several see "
                 "(capture.board.joint_clips) or from a file (calibration.rig.given); give one of the three",
             )
-    if capture.mattes is not None and capture.mattes.method == "background" and config.kind == "sweep":
-        yield "capture.mattes", "background needs fixed cameras, and there is only a sweep"
     for key, value, method, wanted in (
         ("calibration.rig.given", rig.given, rig.method, "given"),
         ("capture.board.joint_clips", joint, rig.method, "board"),
