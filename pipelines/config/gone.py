@@ -3,6 +3,7 @@
 They are refused like any other unknown key or value, but it is told that they are gone.
 """
 
+NO_CHART = "cameras are brought to one look by surface points that they share; remove the key"
 NO_PROGRAM = (
     "programs are no longer run; run yours on the pictures, and name its folder of mattes (`mattes: FOLDER`)"
 )
@@ -11,12 +12,15 @@ NO_LAYOUT = "this layout is no longer written; export to nerfstudio or colmap"
 NO_RIG = "this calibration is no longer written; export to rig-opencv, rig-colmap or rig-caliscope"
 
 GONE: dict[str, str] = {
+    "calibration.colour.chart": NO_CHART,
     "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key, and see "
     "`mapper: both` for a comparison",
     "capture.mattes.command": NO_PROGRAM,
     "capture.mattes.timeout_s": NO_PROGRAM,
     "capture.raw.keep_linear": "pictures in linear light are no longer kept; remove the key, and develop the RAW files "
     "with another program where they are needed",
+    "capture.white": "light that falls off to the corners is no longer evened out; remove the key, and where it "
+    "matters even the pictures out with another program",
     "flow.preset": "DIS has one setting, the most accurate one (medium); remove the key",
     "reconstruct.learn_clocks": "`tiny` and `fast` find a camera whose clock is wrong by themselves; remove the key",
 }
@@ -33,6 +37,7 @@ GONE_VALUES: dict[str, str] = {
     "--format rig-kalibr": NO_RIG,
     "--format rig-pose2sim": NO_RIG,
     "--format zarr": NO_GRIDS,
+    "calibration.colour.method: chart": NO_CHART,
     "capture.mattes.method: background": "mattes by a clean plate are no longer made; make them with another program, "
     "and name their folder (`mattes: FOLDER`)",
     "capture.mattes.method: command": NO_PROGRAM,

@@ -186,8 +186,6 @@ class CaptureConfig(_Section):
     """The calibration board, where one was filmed."""
     raw: RawConfig = RawConfig()
     """RAW photos."""
-    white: dict[str, PathText] = {}
-    """Camera, or static for the sweep's -> clip, photo or folder of photos of a white sheet: its light fall-off."""
     mattes: Annotated[MattesConfig, BeforeValidator(_mattes)] | None = None
     """Mattes of the subject: a folder with one per camera, and `static` for the sweep; `chroma`; or a section. A room
     needs none."""
@@ -291,12 +289,9 @@ class RigConfig(_Section):
 class ColourConfig(_Section):
     """Cameras brought to one look."""
 
-    method: Literal["auto", "chart", "points", "none"] = "auto"
-    """How cameras are brought to one look: from a chart, or from surface points that two cameras see; auto: the
-    chart of a camera where one is given, else points."""
-    chart: dict[str, PathText] = {}
-    """Camera, or static for the sweep's -> photo or clip of one chart of 24 patches, in one light. The reference
-    (the sweep, else the first camera) is needed."""
+    method: Literal["auto", "points", "none"] = "auto"
+    """How cameras are brought to the look of the sweep's, else of the first: auto and points: by surface points that
+    two cameras see; none: they stay as filmed."""
 
 
 class CalibrationConfig(_Section):

@@ -101,7 +101,6 @@ STAGES = (
             "capture.board.clips",
             "capture.board.joint_clips",
             "capture.raw",
-            "capture.white",
             "calibration.sync.method",
         ),
         applies=_unless(dataset=NO_RAW_FILES),

@@ -153,7 +153,6 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
         (JOINT, "capture.board.clips.static: "),
         (JOINT.replace("clips: {static: cam1.mp4}, ", "").replace("{a:", "{b: cam1.mp4, a:", 1),
          "capture.board.joint_clips: … b"),
-        ("{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}", "capture.white.cam1: "),
         ("{static: static.mp4, raw: {white_balance: [2, 1, 0, 1]}}", "capture.raw.white_balance: [2, 1, 0, 1]; "),
         ("{static: static.mp4, raw: {white_balance: camera}}", "capture.raw.white_balance: 'camera'; … 'auto'"),
         ("{}", "capture: … static"),
