@@ -24,8 +24,8 @@ from tests.faults.fuzz_material import FRAMES, SIZE, Target, pictures, scene_yam
 from tests.faults.fuzzing import Fuzzer, Outcome, fuzzer
 from tests.faults.mutations import JSON, NUMBERS, TEXT
 from tests.faults.test_fuzz_files import attempt, damage
+from tests.rigs import RIG_LAYOUTS
 
-from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.video_writer import write_video
@@ -252,7 +252,7 @@ def kinds(place: Path, base: Path) -> dict[str, Target]:
     add("table", "times.csv", TEXT, {"timestamps": "times.csv"})
     add("truth", "truth.json", JSON, {}, evaluate={"truth": "truth.json"})
     add("rig.json", "rig.json", JSON, {}, calibration={"rig": {"given": "rig.json"}})
-    for name, write in RIG_WRITERS.items():
+    for name, write in RIG_LAYOUTS.items():
         given = place / name / "given"
         given.mkdir(parents=True)
         write(given, cameras(), True)

@@ -90,11 +90,6 @@ def _ply(path: Path) -> Facts:
     return counts, re.findall(r"property .* (\w+)\n", header)
 
 
-def _obj(path: Path) -> Facts:
-    starts = Counter(line.partition(" ")[0] for line in path.read_text().splitlines())
-    return {"obj_vertex": starts["v"], "obj_face": starts["f"]}, []
-
-
 def _glb(path: Path) -> Facts:
     data = path.read_bytes()
     scene = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
@@ -104,15 +99,8 @@ def _glb(path: Path) -> Facts:
     return counts, [*scene, *part["attributes"]]
 
 
-def _npz(path: Path) -> Facts:
-    with np.load(path) as arrays:
-        return {}, [f"{name}[{arrays[name].ndim}]" for name in arrays.files]
-
-
 def _keys(path: Path) -> Facts:
     content = json.loads(path.read_text())
-    if path.name == "zarr.json":  # an array or a group
-        return {}, [f"{path.parent.name}[{len(content.get('shape', ()))}]"]
     if not isinstance(content, dict):
         return {f"entries_{path.name}": len(content)}, []
     return {"frames": len(content.get("frames", ()))}, list(content)
@@ -122,7 +110,7 @@ def _colmap(path: Path) -> Facts:
     return {f"colmap_{path.stem}": struct.unpack("<Q", path.read_bytes()[:8])[0]}, []
 
 
-READERS = {".ply": _ply, ".obj": _obj, ".glb": _glb, ".npz": _npz, ".json": _keys, ".bin": _colmap}
+READERS = {".ply": _ply, ".glb": _glb, ".json": _keys, ".bin": _colmap}
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Steady light: gains that bring every frame of a fixed camera's clip to the clip's usual light; lamps that flicker.
+"""Steady light: gains that bring every frame of a fixed camera's clip to the clip's usual light; light that flickers.
 
 Lamps on mains of 50 or 60 Hz flicker 100 or 120 times a second. A camera of f frames a second sees that at the alias
 |100 - k f| Hz; a rolling shutter shows it as bands that wander, because rows are exposed one after the other. A gain
@@ -33,12 +33,10 @@ class Flicker:
     """Light that repeats at the alias of a lamp.
 
     Attributes:
-        lamp_hz: 100 or 120: twice the mains.
         seen_hz: How often a second it is seen to repeat.
         depth: Brightest against darkest on one row, share of the light.
     """
 
-    lamp_hz: float
     seen_hz: float
     depth: float
 
@@ -144,7 +142,7 @@ def _find_flicker(
         sums = np.exp(-2j * np.pi * seen_hz * (time_s - time_s[0])) @ rest
         return float(np.median(2 * np.abs(sums) ** 2 / (len(time_s) * spread)))
 
-    trials: list[tuple[float, float]] = []  # seen_hz, lamp_hz
+    trials: list[float] = []
     line_hz = 1 / span_s  # the width of a spectral line
     for lamp_hz in LAMPS_HZ:
         alias_hz = abs(lamp_hz - fps * round(lamp_hz / fps))
@@ -152,11 +150,10 @@ def _find_flicker(
         lowest_hz = max(alias_hz - reach_hz, FEWEST_WAVES * line_hz)
         if 4 * (alias_hz + reach_hz - lowest_hz) / line_hz > len(time_s):
             return None  # more lines than pictures: the clip is all gaps
-        steps = np.arange(lowest_hz, alias_hz + reach_hz, line_hz / 4)
-        trials += [(float(seen_hz), lamp_hz) for seen_hz in steps]
+        trials += np.arange(lowest_hz, alias_hz + reach_hz, line_hz / 4).tolist()
     if not trials:
         return None
-    coarse_hz, lamp_hz = max(trials, key=lambda trial: explained(trial[0]))
+    coarse_hz = max(trials, key=explained)
     # leaves less than 4 % of the wave at the clip's ends
     fine = coarse_hz + np.linspace(-0.25, 0.25, 21) * line_hz
     seen_hz = max((float(f) for f in fine), key=explained)
@@ -167,7 +164,7 @@ def _find_flicker(
     depth = float(np.exp2(2 * np.sqrt(2 * np.median(((waves @ weights) ** 2).mean(axis=0)))) - 1)
     if explained(seen_hz) < EXPLAINED or depth < FLICKER_DEPTH:
         return None
-    return Flicker(lamp_hz, seen_hz, depth), waves
+    return Flicker(seen_hz, depth), waves
 
 
 def _change(time_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"], least: float) -> Change | None:

@@ -27,7 +27,6 @@ from devrf.capture.recordings import chapter_faults
 from devrf.capture.session import CaptureSession
 from devrf.capture.slow_motion import length_faults
 from devrf.capture.timestamps import read_timestamps
-from devrf.capture.white import mean_white
 
 MAX_SWEEP_FRAMES = 120  # exhaustive matching of 120 pictures is 7140 pairs, minutes on two cores
 MAX_BOARD_FRAMES = 60  # intrinsics gain nothing from more views of one board
@@ -125,10 +124,6 @@ def write_frames(
         extract(f"board_{name}", path, "board", Keep(most=MAX_BOARD_FRAMES))
     for name, path in joint_clips.items():
         extract(name, path, "joint", Keep(most=MAX_JOINT_FRAMES, choose="every"))
-    for name, path in session.white.items():
-        (out / "white").mkdir(exist_ok=True)
-        progress(1.0, f"white sheet of {name}")
-        np.save(out / "white" / f"{name}.npy", mean_white(path))
     joint = {c: c if session.shares_joint_clip(c) else f"joint_{c}" for c in session.joint_clips}
     frames = FrameSet(cameras, {c: n for c, n in joint.items() if c not in left_out}, bool(times), left_out)
     frames.write(out)

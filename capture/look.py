@@ -1,22 +1,18 @@
 """The look of a picture: what brings its colours to those of the reference camera, in linear light.
 
-    linear_out = matrix · (gains * linear_in / flat),   linear_in = the sRGB curve undone
+    linear_out = matrix · (gains * linear_in),   linear_in = the sRGB curve undone
 
-`gains` are this picture's own (steady light), `flat` is the lens's fall-off towards the corners, `matrix` the camera's.
+`gains` are this picture's own (steady light), `matrix` is the camera's.
 Pictures on disk keep their colours: a look is applied when a picture is loaded, and leaving it away takes it back. A
 value that is clipped in the source says "at least so bright"; after the correction it still stands for its clip level
 and nothing more. Values that leave [0, 1] are clipped.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from devrf.capture.arrays import ArrayError, read_npy
-from devrf.capture.errors import CaptureError
 from devrf.capture.srgb import LEVEL_OF_LINEAR, LINEAR_OF_LEVEL
 
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -34,12 +30,10 @@ class Look:
     Attributes:
         matrix: Of the camera; rows are R, G, B of the reference.
         gains: Of this picture: R, G, B.
-        flat: Relative light over the picture: .npy with values in (0, 1] at the centres of equal cells; or None.
     """
 
     matrix: Matrix = SAME
     gains: Gains = EVEN
-    flat: Path | None = None
 
     def __post_init__(self) -> None:
         numbers = np.array([*self.matrix, self.gains])
@@ -57,18 +51,14 @@ class Look:
     def apply(self, rgb: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
         """The picture as the reference camera would show it, sRGB."""
         matrix = np.array(self.matrix, np.float64)
-        light = None if self.flat is None else _light(self.flat, *rgb.shape[:2])
-        if light is None and np.array_equal(matrix, np.diag(np.diag(matrix))):
+        if np.array_equal(matrix, np.diag(np.diag(matrix))):
             factors = np.diag(matrix) * self.gains
             tables = [_levels(np.float32(f) * LINEAR_OF_LEVEL) for f in factors]
             return np.stack([table[rgb[..., c]] for c, table in enumerate(tables)], axis=-1)
         mixing = (matrix * self.gains).astype(np.float32).T
         out = np.empty_like(rgb)
         for top in range(0, len(rgb), ROWS):
-            strip = LINEAR_OF_LEVEL[rgb[top : top + ROWS]]
-            if light is not None:
-                strip /= light[top : top + ROWS, :, None]
-            out[top : top + ROWS] = _levels(strip @ mixing)
+            out[top : top + ROWS] = _levels(LINEAR_OF_LEVEL[rgb[top : top + ROWS]] @ mixing)
         return out
 
 
@@ -86,25 +76,3 @@ def _levels(linear: Float[np.ndarray, "*batch"]) -> UInt8[np.ndarray, "*batch"]:
     """Linear light as 8-bit sRGB."""
     steps = np.clip(linear, 0, 1) * np.float32(65535) + np.float32(0.5)
     return LEVEL_OF_LINEAR[steps.astype(np.uint16)]
-
-
-@lru_cache(maxsize=16)  # one per camera
-def _light(flat: Path, height: int, width: int) -> Float[np.ndarray, "height width"]:
-    """A flat field at the size of a picture: bilinear between the centres of its cells, straight on outside them.
-
-    Raises:
-        CaptureError: The file is not such a map.
-    """
-    try:
-        cells = read_npy(flat)
-    except ArrayError as error:
-        raise CaptureError(error.code, f"{error}; run again with --force colour") from None
-    if cells.ndim != 2 or not min(cells.shape) > 1 or not np.all((cells > 0) & (cells <= 1)):
-        text = f"{flat}: expected a map with values in (0, 1]; run again with --force colour"
-        raise CaptureError("file-damaged", text)
-    for axis, size in ((0, height), (1, width)):
-        at = (np.arange(size) + 0.5) / size * cells.shape[axis] - 0.5
-        low = np.clip(at.astype(int), 0, cells.shape[axis] - 2)
-        share = (at - low).reshape((-1, 1) if axis == 0 else (1, -1))
-        cells = (1 - share) * cells.take(low, axis) + share * cells.take(low + 1, axis)
-    return cells.astype(np.float32)

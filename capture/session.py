@@ -13,7 +13,7 @@ import numpy as np
 
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.media import check_file
-from devrf.capture.photo_folders import is_photo, list_pictures
+from devrf.capture.photo_folders import list_pictures
 from devrf.capture.pictures import probe_picture
 from devrf.capture.raw import WhiteBalance, check_unpacks, is_raw
 from devrf.capture.raw_compression import compression_of
@@ -41,7 +41,6 @@ class CaptureSession:
         timestamps: CSV with camera, frame_index, time_s, or None.
         board_clips: Name -> clip or folder of photos of the board before this camera alone.
         joint_clips: Name -> clip of the board before several cameras at once; may be the moving clip itself.
-        white: Name, or "static" for the sweep's camera -> clip, photo or folder of photos of a white sheet.
         white_balance: Multipliers for R, G, B, second G of all RAW photos; None: daylight of each folder's sensor.
         range_s: (from, to) on the first camera's clock, or None for all.
         rest: When the moving clips show the scene as in the sweep.
@@ -53,7 +52,6 @@ class CaptureSession:
     timestamps: Path | None = None
     board_clips: Mapping[str, Path] = field(default_factory=_no_files)
     joint_clips: Mapping[str, Path] = field(default_factory=_no_files)
-    white: Mapping[str, Path] = field(default_factory=_no_files)
     white_balance: WhiteBalance | None = None
     range_s: tuple[float, float] | None = None
     rest: Rest = "auto"
@@ -66,7 +64,7 @@ class CaptureSession:
     def files(self) -> list[Path]:
         """Every raw file, photos of folders one by one, in a fixed order."""
         out: list[Path] = []
-        for path in (self.static, *self.cameras.values(), *self.board_clips.values(), *self.white.values()):
+        for path in (self.static, *self.cameras.values(), *self.board_clips.values()):
             if path is not None:
                 out.extend(list_pictures(path) if path.is_dir() else [path])
         out.extend(self.joint_clips.values())
@@ -104,8 +102,6 @@ def preflight(session: CaptureSession) -> list[str]:
     for name, path in session.joint_clips.items():
         if not session.shares_joint_clip(name):
             attempt(lambda path=path: probe_video(path), f"capture.board.joint_clips.{name}")
-    for name, path in session.white.items():
-        attempt(lambda path=path: _check_white(path), f"capture.white.{name}")
     if session.timestamps is not None:
         table = session.timestamps
         times: dict[str, FrameTimes] = {}
@@ -152,13 +148,6 @@ def _check_clip_or_folder(path: Path) -> None:
         _check_folder(path)
     else:
         probe_video(path)
-
-
-def _check_white(path: Path) -> None:
-    if path.is_file() and is_photo(path):
-        probe_picture(path)
-    else:
-        _check_clip_or_folder(path)
 
 
 def _check_folder(path: Path) -> list[Path]:

@@ -28,7 +28,6 @@ def capture_session(config: SceneConfig, scene_dir: Path) -> CaptureSession:
         timestamps=None if capture.timestamps is None else config.path(scene_dir, capture.timestamps),
         board_clips=paths(board.clips) if board else {},
         joint_clips=paths(board.joint_clips) if board else {},
-        white=paths(capture.white),
         white_balance=None if capture.raw.white_balance == "auto" else capture.raw.white_balance,
         range_s=capture.range_s,
         rest=capture.rest,

@@ -212,9 +212,8 @@ def export(
         str,
         typer.Option(
             "--format",
-            help="data sets: nerfstudio, colmap, llff, devrf or blender; the model: ply (point clouds), mesh (PLY and "
-            "OBJ), glb (animated), zarr or npz (voxel grids), splat (3D Gaussians) or player (a page); only "
-            "cameras: rig-anipose, rig-caliscope, rig-colmap, rig-easymocap, rig-kalibr, rig-opencv or rig-pose2sim",
+            help="data sets: nerfstudio or colmap; the model: ply (point clouds), glb (an animated mesh), splat (3D "
+            "Gaussians) or player (a page); only cameras: rig-caliscope, rig-colmap or rig-opencv",
         ),
     ],
     out: Annotated[
@@ -228,7 +227,7 @@ def export(
         ),
     ] = None,
     level: Annotated[
-        float | None, typer.Option(help="mesh, glb: opacity of the surface, 0 to 1; default: 0.5")
+        float | None, typer.Option(help="glb: opacity of the surface, 0 to 1; default: 0.5")
     ] = None,
     splats: Annotated[
         int | None, typer.Option(help="splat, player: how many Gaussians at most; default: 30000")

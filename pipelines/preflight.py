@@ -130,16 +130,12 @@ def _check_mattes(config: SceneConfig, scene_dir: Path) -> list[str]:
         return []
     from devrf.capture.mattes.chroma import parse_colour
     from devrf.capture.mattes.given import cameras_with_mattes
-    from devrf.pipelines.scene_mattes import matte_command
 
     if mattes.colour != "auto":
         try:
             parse_colour(mattes.colour)
         except DevrfError as error:
             return [f"capture.mattes.colour: {error}"]
-    if mattes.command is not None:
-        problem = matte_command(mattes, scene_dir).problem()
-        return [] if problem is None else [f"capture.mattes.command: {problem}"]
     if mattes.folder is not None:
         folder, sweep = config.path(scene_dir, mattes.folder), config.capture.static is not None
         try:

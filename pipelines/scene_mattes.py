@@ -12,16 +12,8 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import DevrfError
 from devrf.capture.frames import FrameSet
 from devrf.capture.mattes.chroma import parse_colour
-from devrf.capture.mattes.command import MatteCommand
 from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
-from devrf.capture.mattes.make import (
-    CameraMattes,
-    Clip,
-    background_mattes,
-    chroma_mattes,
-    command_mattes,
-    given_mattes,
-)
+from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes, given_mattes
 from devrf.capture.photo_folders import list_pictures
 from devrf.capture.progress import Progress
 from devrf.capture.scene import PosedFrame
@@ -30,7 +22,6 @@ from devrf.pipelines.config.scene import MattesConfig
 from devrf.pipelines.health.rows import left_out_row
 from devrf.pipelines.stage import StageContext
 
-KEPT = ".mattes"  # in the run folder: what a program has made
 HULL_PICTURES = 24  # of a sweep, for the box
 Maker = Callable[[Clip, Progress], CameraMattes]
 
@@ -117,14 +108,8 @@ def scene_mattes(
         if frame.camera_name in small:
             small[frame.camera_name].append(_small(frame.camera))
     trained = clips.keys() - frames.tests.keys()
-    everywhere = bool(static) and trained <= set(names) and capture.mattes.method != "background"
+    everywhere = bool(static) and trained <= set(names)
     return SceneMattes(matted(static), matted(dynamic), made, small, everywhere)
-
-
-def matte_command(mattes: MattesConfig, scene_dir: Path) -> MatteCommand:
-    """The program that scene.yaml names."""
-    assert mattes.command is not None
-    return MatteCommand(mattes.command, scene_dir, mattes.timeout_s)
 
 
 def _maker(
@@ -134,12 +119,6 @@ def _maker(
     if mattes.method == "chroma":
         colour = None if mattes.colour == "auto" else parse_colour(mattes.colour)
         return (lambda clip, progress: chroma_mattes(clip, colour, out, progress)), tuple(names)
-    if mattes.method == "background":
-        moving = tuple(name for name in names if name != SWEEP)
-        return (lambda clip, progress: background_mattes(clip, out, progress)), moving
-    if mattes.method == "command":
-        command, kept = matte_command(mattes, context.scene_dir), context.run_dir / KEPT
-        return (lambda clip, progress: command_mattes(clip, command, kept, out, progress)), tuple(names)
     assert mattes.folder is not None
     folder = context.config.path(context.scene_dir, mattes.folder)
     inverted = None if mattes.inverted == "auto" else mattes.inverted

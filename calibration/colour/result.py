@@ -1,4 +1,4 @@
-"""What is known of every camera's colours, on disk: colour.json, and beside it gains by frame and flat fields."""
+"""What is known of every camera's colours, on disk: colour.json, and beside it gains by frame."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -14,7 +14,7 @@ from devrf.capture.arrays import read_npy
 from devrf.capture.errors import CaptureError
 from devrf.capture.look import EVEN, SAME, Gains, Look, Matrix, as_gains
 
-Source = Literal["reference", "chart", "points", "none"]
+Source = Literal["reference", "points", "none"]
 FILE = "colour.json"
 
 
@@ -27,10 +27,8 @@ class CameraColour:
         kind: What was fitted: none, gain, diagonal or matrix.
         matrix: Linear light of the reference from its own.
         stops, stops_std: By how much it is brighter than the reference, and how sure; None where not known.
-        stops_by_points: The same by surface points, where a chart has given `stops`; None elsewhere.
         fitted: Points that were fitted.
         apart: How far it lies from the cameras it was compared with, on points kept out of the fit.
-        flat: Its flat field's file beside colour.json; None without one.
         gains: Its gains' file beside colour.json, rows of frame, R, G, B; None where its light is steady.
     """
 
@@ -39,10 +37,8 @@ class CameraColour:
     matrix: Matrix = SAME
     stops: float | None = None
     stops_std: float | None = None
-    stops_by_points: float | None = None
     fitted: int = 0
     apart: Apart = field(default_factory=lambda: Apart(0, None, None))
-    flat: str | None = None
     gains: str | None = None
 
 
@@ -67,15 +63,12 @@ class Colours:
         camera = self.cameras.get(name)
         if camera is None:
             return None
-        flat = None if camera.flat is None else self.folder / camera.flat
-        look = Look(camera.matrix, self.steady(name, frame), flat)
+        look = Look(camera.matrix, self.steady(name, frame))
         return look if look.changes else None
 
-    def before_matching(self, name: str, frame: int | None) -> Look:
-        """Fall-off and unsteady light alone; of no one frame where `frame` is None."""
-        flat = self.cameras[name].flat if name in self.cameras else None
-        gains = EVEN if frame is None else self.steady(name, frame)
-        return Look(gains=gains, flat=None if flat is None else self.folder / flat)
+    def before_matching(self, name: str, frame: int) -> Look:
+        """What makes up for unsteady light alone."""
+        return Look(gains=self.steady(name, frame))
 
     def steady(self, name: str, frame: int) -> Gains:
         """Gains that bring a frame to its clip's usual light."""

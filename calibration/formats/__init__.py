@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from devrf.calibration.formats.colmap_rig import is_colmap, read_colmap_rig, write_colmap_rig
-from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap, write_easymocap
+from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap
 from devrf.calibration.formats.found import Found, FoundCamera, text_of
 from devrf.calibration.formats.kalibr import parse as parse_kalibr
-from devrf.calibration.formats.kalibr import read_kalibr, write_kalibr
+from devrf.calibration.formats.kalibr import read_kalibr
 from devrf.calibration.formats.opencv import (
     ENDINGS,
     INTRINSICS_FILE,
@@ -22,7 +22,7 @@ from devrf.calibration.formats.opencv import (
 from devrf.calibration.formats.qualisys import parse as parse_qualisys
 from devrf.calibration.formats.qualisys import read_qualisys
 from devrf.calibration.formats.toml_tables import parse as parse_toml
-from devrf.calibration.formats.toml_tables import read_toml, write_anipose, write_caliscope, write_pose2sim
+from devrf.calibration.formats.toml_tables import read_toml, write_caliscope
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 
@@ -34,13 +34,9 @@ READ = (
 )
 Writer = Callable[[Path, Mapping[str, Camera], bool], None]
 RIG_WRITERS: dict[str, Writer] = {  # (folder, cameras by name, whether lengths are metres)
-    "rig-anipose": write_anipose,
     "rig-caliscope": write_caliscope,
     "rig-colmap": write_colmap_rig,
-    "rig-easymocap": write_easymocap,
-    "rig-kalibr": write_kalibr,
     "rig-opencv": write_opencv,
-    "rig-pose2sim": write_pose2sim,
 }
 
 PARSED: tuple[tuple[Callable[[str], Any], Callable[[Path, Any], Found]], ...] = (

@@ -1,4 +1,4 @@
-"""EasyMocap's pair intri.yml and extri.yml (OpenCV's FileStorage), in and out.
+"""EasyMocap's pair intri.yml and extri.yml (OpenCV's FileStorage).
 
 intri.yml: `names`, and of each camera K_<name>, dist_<name> (older: D_<name>), H_<name> and W_<name> where written.
 extri.yml: R_<name> (rotation vector), Rot_<name> (matrix), T_<name>; x_cam = R x_world + T, metres by their rule.
@@ -8,14 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from devrf.calibration.formats.found import Found, FoundCamera, distortion_of, matrix, pose, size_of, text_of
 from devrf.calibration.formats.opencv import storage
-from devrf.calibration.intrinsics import HALF_PIXEL
-from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 
 FORMAT = "EasyMocap"
@@ -53,36 +47,6 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
             cam_from_world = pose(rotation, extri.get(f"T_{name}"), f"{path.parent / EXTRI}: camera {name}")
         cameras[name] = FoundCamera(K, k, "OPENCV", size, cam_from_world)
     return Found(FORMAT, cameras, "m")
-
-
-def write_easymocap(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
-    """Both files, with sizes.
-
-    Raises:
-        InputError: A fisheye lens, which the format cannot tell from another.
-    """
-    wide = [name for name, camera in cameras.items() if camera.model == "OPENCV_FISHEYE"]
-    if wide:
-        wrong = f"camera '{wide[0]}' has a fisheye lens, which EasyMocap's files cannot say"
-        raise InputError("lens-unwritable", f"{wrong}; export to rig-opencv or rig-kalibr")
-    intri = cv2.FileStorage(str(folder / INTRI), cv2.FILE_STORAGE_WRITE)
-    extri = cv2.FileStorage(str(folder / EXTRI), cv2.FILE_STORAGE_WRITE)
-    for file in (intri, extri):
-        file.startWriteStruct("names", cv2.FILE_NODE_SEQ)
-        for name in cameras:
-            file.write("", name)
-        file.endWriteStruct()
-    for name, camera in cameras.items():
-        R, t = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
-        intri.write(f"K_{name}", camera.K - HALF_PIXEL)
-        intri.write(f"dist_{name}", camera.distortion[None])
-        intri.write(f"H_{name}", camera.height)
-        intri.write(f"W_{name}", camera.width)
-        extri.write(f"R_{name}", Rotation.from_matrix(R).as_rotvec()[:, None])
-        extri.write(f"Rot_{name}", np.ascontiguousarray(R))
-        extri.write(f"T_{name}", t[:, None].copy())
-    intri.release()
-    extri.release()
 
 
 def _other(path: Path, name: str, required: bool) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""kalibr's camchain yaml, in and out (kalibr wiki, "yaml formats").
+"""kalibr's camchain yaml (kalibr wiki, "yaml formats").
 
 cam0, cam1, ...: `camera_model`, `intrinsics` (fu fv pu pv), `distortion_model`, `distortion_coeffs`, `resolution`, and
 from the second camera on `T_cn_cnm1`, which takes points of the camera before it into this one; metres. The world is
@@ -22,8 +22,6 @@ from devrf.calibration.formats.found import (
     pose,
     size_of,
 )
-from devrf.calibration.intrinsics import HALF_PIXEL
-from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.picture_files import natural_key
 
@@ -89,34 +87,6 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
             cam_from_world[:3] if len(cameras) > 1 else None,
         )
     return Found(FORMAT, out, "m")
-
-
-def write_kalibr(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
-    """camchain.yaml. kalibr's lenses have four coefficients.
-
-    Raises:
-        InputError: A camera's k3 is not 0.
-    """
-    out, before = {}, IDENTITY
-    for n, (name, camera) in enumerate(cameras.items()):
-        fisheye = camera.model == "OPENCV_FISHEYE"
-        if camera.distortion[4] != 0:
-            wrong = f"camera '{name}': k3 = {camera.distortion[4]:g}, and kalibr's radtan lens has k1, k2, p1, p2 only"
-            remedy = "export to a format that holds k3, such as rig-anipose"
-            raise InputError("lens-unwritable", f"{wrong}; {remedy}")
-        K, cam_from_world = camera.K - HALF_PIXEL, np.vstack([camera.cam_from_world, [0, 0, 0, 1.0]])
-        chain = {} if n == 0 else {"T_cn_cnm1": (cam_from_world @ np.linalg.inv(before)).tolist()}
-        out[f"cam{n}"] = chain | {
-            "cam_overlaps": [m for m in range(len(cameras)) if m != n],
-            "camera_model": "pinhole",
-            "intrinsics": [float(v) for v in (K[0, 0], K[1, 1], K[0, 2], K[1, 2])],
-            "distortion_model": "equidistant" if fisheye else "radtan",
-            "distortion_coeffs": camera.distortion[:4].tolist(),
-            "resolution": [camera.width, camera.height],
-            "rostopic": f"/{name}/image_raw",
-        }
-        before = cam_from_world
-    (folder / "camchain.yaml").write_text(yaml.safe_dump(out, sort_keys=False, default_flow_style=None))
 
 
 def _names(cameras: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

@@ -1,11 +1,11 @@
-"""Calibrations in TOML, in and out: a table a camera with matrix, distortions, rotation and translation.
+"""Calibrations in TOML: a table a camera with matrix, distortions, rotation and translation.
 
 - caliscope (and pyxy3d before it): [cameras.0] or [cam_0] with `cam_id`; rotation is a matrix or a vector; metres.
 - aniposelib, anipose, freemocap: [cam_0] with `name`, rotation vector; lengths in the unit of the board.
 - Pose2Sim: as aniposelib, with `fisheye` in every table; metres. aniposelib says `fisheye` only of fisheye lenses, so
   where all are, either may have written it and the unit is not known.
 
-x_cam = R x_world + t, pixels count from the centre of the first one. aniposelib ignores p1 and p2 when it projects.
+x_cam = R x_world + t, pixels count from the centre of the first one. Written are those of caliscope.
 """
 
 import json
@@ -13,8 +13,6 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
-
-from scipy.spatial.transform import Rotation
 
 from devrf.calibration.formats.found import (
     Found,
@@ -66,24 +64,21 @@ def read_toml(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> Found:
     )
 
 
-def write_anipose(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
-    """calibration.toml for aniposelib, anipose and freemocap."""
-    _write(folder / "calibration.toml", cameras, always_fisheye=False)
-
-
-def write_pose2sim(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
-    """Calib.toml for Pose2Sim."""
-    _write(folder / "Calib.toml", cameras, always_fisheye=True)
-
-
 def write_caliscope(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:
     """camera_array.toml for caliscope, which numbers cameras from 0."""
     lines = []
     for n, (name, camera) in enumerate(cameras.items()):
         lines += [f"# {name}", f"[cameras.{n}]", f"cam_id = {n}", "rotation_count = 0", "ignore = false"]
         R, t = camera.cam_from_world[:, :3], camera.cam_from_world[:, 3]
-        lines += [*_lens(camera), f"translation = {t.tolist()}", f"rotation = {R.tolist()}"]
-        lines += [f"fisheye = {json.dumps(camera.model == 'OPENCV_FISHEYE')}", ""]
+        lines += [
+            f"size = [{camera.width}, {camera.height}]",
+            f"matrix = {(camera.K - HALF_PIXEL).tolist()}",
+            f"distortions = {cv_coefficients(camera)}",
+            f"translation = {t.tolist()}",
+            f"rotation = {R.tolist()}",
+            f"fisheye = {json.dumps(camera.model == 'OPENCV_FISHEYE')}",
+            "",
+        ]
     (folder / "camera_array.toml").write_text("\n".join(lines))
 
 
@@ -104,22 +99,3 @@ def _camera(path: Path, key: str, table: Mapping[str, Any]) -> tuple[str, FoundC
         cam_from_world,
     )
     return str(table.get("name", key)), camera
-
-
-def _write(path: Path, cameras: Mapping[str, Camera], always_fisheye: bool) -> None:
-    lines = []
-    for n, (name, camera) in enumerate(cameras.items()):
-        rotation = Rotation.from_matrix(camera.cam_from_world[:, :3]).as_rotvec()
-        lines += [f"[cam_{n}]", f"name = {json.dumps(name)}", *_lens(camera)]
-        lines += [f"rotation = {rotation.tolist()}", f"translation = {camera.cam_from_world[:, 3].tolist()}"]
-        fisheye = camera.model == "OPENCV_FISHEYE"
-        lines += [*([f"fisheye = {json.dumps(fisheye)}"] if always_fisheye or fisheye else []), ""]
-    path.write_text("\n".join([*lines, "[metadata]", "adjusted = false", "error = 0.0", ""]))
-
-
-def _lens(camera: Camera) -> list[str]:
-    return [
-        f"size = [{camera.width}, {camera.height}]",
-        f"matrix = {(camera.K - HALF_PIXEL).tolist()}",
-        f"distortions = {cv_coefficients(camera)}",
-    ]

@@ -1,7 +1,7 @@
 """Data sets in Blender's layout: `transforms_{train,test}.json` with one focal length, pictures named without ending.
 
-Entries may carry their own `fl_x, fl_y, cx, cy, w, h`, `camera`, `frame_index` and `time_s`, as our exports do;
-they come before `camera_angle_x`. The order of entries means nothing but the number of a flow file.
+Entries may carry their own `fl_x, fl_y, cx, cy, w, h`, `camera`, `frame_index` and `time_s`; they come before
+`camera_angle_x`. The order of entries means nothing but the number of a flow file.
 """
 
 from collections import Counter
@@ -13,7 +13,6 @@ import numpy as np
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures, time_within
-from devrf.capture.formats.export import Export, Pinholes, static_of, stems
 from devrf.capture.formats.files import (
     Header,
     find_picture,
@@ -21,10 +20,9 @@ from devrf.capture.formats.files import (
     read_header,
     read_json,
     safe_name,
-    write_json,
 )
-from devrf.capture.formats.opengl import camera_of, intrinsics_entry, opengl_pose
-from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
+from devrf.capture.formats.opengl import camera_of
+from devrf.capture.formats.scene_files import OWN_KEY
 from devrf.capture.formats.transforms import index_of
 from devrf.capture.scene import PosedFrame, Split
 
@@ -40,49 +38,6 @@ def read_blender(folder: Path, notes: list[str]) -> Pictures:
         wrong = f"data set {folder}: every picture is of the scene in motion"
         raise CaptureError("rest-missing", f"{wrong}; a sweep of it at rest is needed")
     return Pictures(at_rest(frames), has_split=has_test, own=own_entry(folder / "transforms_train.json"))
-
-
-def write_blender(export: Export) -> None:
-    """The scene at rest as one pinhole camera sees it."""
-    frames = static_of(export, "blender")
-    pinholes = Pinholes(export, frames)
-    write_splits(export.folder, frames, pinholes, export)
-
-
-def write_splits(
-    folder: Path, frames: tuple[PosedFrame, ...], pinholes: Pinholes, export: Export
-) -> tuple[PosedFrame, ...]:
-    """Write `transforms_<split>.json` and its pictures for every split that has any; the training frames.
-
-    The validation split, which plain readers ask for, is the test split.
-    """
-    named = list(zip(frames, stems(frames), strict=True))
-    written: dict[str, list[PosedFrame]] = {"train": [], "test": []}
-    for n, (frame, stem) in enumerate(named):
-        path = folder / frame.split / f"{stem.replace('/', '_')}.png"
-        written[frame.split].append(pinholes.write(frame, path))
-        export.progress((n + 1) / len(named), f"{folder.name}: {n + 1} of {len(named)} pictures")
-    camera = pinholes.pinhole
-    for name, split in (("train", "train"), ("test", "test"), ("val", "test")):
-        if written[split]:
-            entries = [_entry(f, folder) for f in written[split]]
-            angle = 2 * float(np.arctan(0.5 * camera.width / camera.K[0, 0]))
-            meta = {"camera_angle_x": angle, OWN_KEY: scene_entry(export.scene), "frames": entries}
-            write_json(folder / f"transforms_{name}.json", meta)
-    return tuple(f for f in frames if f.split == "train")
-
-
-def _entry(frame: PosedFrame, folder: Path) -> dict[str, Any]:
-    values = {
-        "file_path": f"./{frame.path.relative_to(folder).with_suffix('').as_posix()}",
-        "transform_matrix": opengl_pose(frame.camera),
-        **intrinsics_entry(frame.camera),
-        "camera": frame.camera_name,
-        "frame_index": frame.index,
-        "time": frame.time,
-        "time_s": frame.time_s,
-    }
-    return {key: value for key, value in values.items() if value is not None}
 
 
 def at_rest(frames: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:

@@ -31,7 +31,7 @@ from devrf.capture.formats.colmap_rigs import (
     simultaneous,
     write_rigs,
 )
-from devrf.capture.formats.export import Export, copied, static_of
+from devrf.capture.formats.export import Export, copied
 from devrf.capture.formats.files import Header, find_picture, read_header
 from devrf.capture.formats.listed import TEST_LIST, pictures_of_list, read_names
 from devrf.capture.formats.point_colours import point_colours
@@ -99,7 +99,10 @@ def read_colmap(folder: Path, notes: list[str]) -> Pictures:
 def write_colmap(export: Export) -> None:
     """`sparse/0` with each camera's own lens, the points, and the pictures as they are; motion in `motion/`."""
     scene = export.scene
-    still = copied(export, static_of(export, "colmap", left_out=False), "images")
+    if not scene.static:
+        text = "colmap holds a scene at rest, and this scene has no sweep; export to nerfstudio"
+        raise CaptureError("rest-missing", text)
+    still = copied(export, scene.static, "images")
     model = _model(still, export.folder / "images", scene.points, shared=True)
     _write(export.folder, model, *own_rigs(model), still)
     if not scene.dynamic:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -18,19 +18,18 @@ from devrf.capture.formats.assembly import (
     hold_out,
     is_plain,
 )
-from devrf.capture.formats.blender import read_blender, write_blender
+from devrf.capture.formats.blender import read_blender
 from devrf.capture.formats.colmap import read_colmap, write_colmap
-from devrf.capture.formats.devrf import read_devrf, write_devrf
-from devrf.capture.formats.export import Export, FindFlow, write_export
+from devrf.capture.formats.devrf import read_devrf
+from devrf.capture.formats.export import Export, write_export
 from devrf.capture.formats.files import read_header
-from devrf.capture.formats.llff import read_llff, write_llff
+from devrf.capture.formats.llff import read_llff
 from devrf.capture.formats.nerfstudio import read_nerfstudio, write_nerfstudio
 from devrf.capture.formats.scene_files import with_scene_entry
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Background, Scene
 
 DatasetFormat = Literal["devrf", "blender", "nerfstudio", "llff", "colmap"]
-DATASET_FORMATS: tuple[DatasetFormat, ...] = get_args(DatasetFormat)
 READERS: dict[DatasetFormat, Callable[[Path, list[str]], Pictures]] = {
     "devrf": read_devrf,
     "blender": read_blender,
@@ -39,30 +38,22 @@ READERS: dict[DatasetFormat, Callable[[Path, list[str]], Pictures]] = {
     "colmap": read_colmap,
 }
 
-WRITERS: dict[DatasetFormat, Callable[[Export], None]] = {
-    "devrf": write_devrf,
-    "blender": write_blender,
-    "nerfstudio": write_nerfstudio,
-    "llff": write_llff,
-    "colmap": write_colmap,
-}
+WRITERS: dict[str, Callable[[Export], None]] = {"nerfstudio": write_nerfstudio, "colmap": write_colmap}
 
 
 def write_dataset(
-    dataset_format: DatasetFormat,
+    dataset_format: str,
     scene: Scene,
     folder: Path,
-    find_flow: FindFlow = lambda frame: None,
     progress: Progress = no_progress,
     notes: Sequence[str] = (),
 ) -> list[str]:
     """Write a calibrated scene as a data set, with a README.txt that states axes and scale.
 
     Args:
-        dataset_format: As in `read_dataset`; `devrf` is the layout with cameras around the subject.
+        dataset_format: One of `WRITERS`.
         scene: The scene.
         folder: New, empty, or an earlier export of the same format, which is replaced.
-        find_flow: Backward flow of a frame of the moving cameras, or None (for `devrf`).
         progress: To be called with (fraction done, short text).
         notes: What is known of the scene already that people should know.
     Returns:
@@ -72,7 +63,7 @@ def write_dataset(
         CaptureError: The format cannot hold this scene, or a picture is missing.
     """
     writer = WRITERS[dataset_format]
-    return write_export(scene, dataset_format, writer, folder, find_flow, progress, notes)
+    return write_export(scene, dataset_format, writer, folder, progress, notes)
 
 
 def guess_format(folder: Path) -> DatasetFormat | None:

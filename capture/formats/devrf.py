@@ -6,15 +6,13 @@ The forward-facing layout of the same name is in `devrf_forward.py`; what is the
 """
 
 import re
-import shutil
 from pathlib import Path
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.assembly import Pictures
-from devrf.capture.formats.blender import at_rest, own_entry, read_split, write_splits
+from devrf.capture.formats.blender import at_rest, own_entry, read_split
 from devrf.capture.formats.devrf_forward import read_devrf_forward
-from devrf.capture.formats.export import Export, Pinholes
-from devrf.capture.formats.flow_files import flow_name, with_flow_files, write_flow_file
+from devrf.capture.formats.flow_files import flow_name, with_flow_files
 from devrf.capture.scene import PosedFrame
 
 
@@ -38,59 +36,6 @@ def read_devrf(folder: Path, notes: list[str]) -> Pictures:
         has_split=has_test,
         own=own_entry(moving / "transforms_train.json"),
     )
-
-
-def write_devrf(export: Export) -> None:
-    """`static/`, `dynamic_<n>views/` and the flow of its training pictures, entries in order of time."""
-    scene = export.scene
-    if not scene.static or not scene.dynamic:
-        code, missing = (
-            ("motion-missing", "pictures in motion") if scene.static else ("rest-missing", "sweep")
-        )
-        wrong = f"devrf holds a scene at rest and in motion, this scene has no {missing}"
-        raise CaptureError(code, f"{wrong}; export to nerfstudio")
-    write_splits(export.folder / "static", scene.static, Pinholes(export, scene.static, "static"), export)
-    cameras = list(dict.fromkeys(f.camera_name for f in scene.dynamic))
-    counts = [sum(f.camera_name == name and f.split == "train" for f in scene.dynamic) for name in cameras]
-    views = [count for count in counts if count]
-    if not views:
-        text = "devrf needs training cameras of the moving scene, this scene has none"
-        raise CaptureError("motion-missing", text)
-    folder = export.folder / f"dynamic_{len(views)}views"
-    pinholes = Pinholes(export, scene.dynamic, folder.name)
-    train = write_splits(folder, _in_order_of_time(scene.dynamic, cameras), pinholes, export)
-    if len(set(views)) > 1:
-        export.notes.append(
-            f"the cameras have {', '.join(map(str, views))} pictures; programs that count entries as view + "
-            f"{len(views)} x time need equal numbers"
-        )
-    if all(f.split == "train" for f in scene.dynamic):
-        export.notes.append("no camera was kept for tests, so dynamic has no transforms_test.json")
-    _write_flow(export, folder, train, pinholes)
-
-
-def _in_order_of_time(frames: tuple[PosedFrame, ...], cameras: list[str]) -> tuple[PosedFrame, ...]:
-    """All cameras' first pictures, then all second ones, ..., as the published loader counts them."""
-    ranked = []
-    for place, name in enumerate(cameras):
-        own = sorted((f for f in frames if f.camera_name == name), key=_order)
-        ranked += [(n, place, frame) for n, frame in enumerate(own)]
-    return tuple(frame for _, _, frame in sorted(ranked, key=lambda entry: entry[:2]))
-
-
-def _write_flow(export: Export, folder: Path, train: tuple[PosedFrame, ...], pinholes: Pinholes) -> None:
-    """Flow files of all training pictures but each camera's first; none where any is missing."""
-    seen: set[str] = set()
-    for number, frame in enumerate(train):
-        flow = pinholes.flow(frame) if frame.camera_name in seen else None
-        if flow is None and frame.camera_name in seen:
-            shutil.rmtree(folder / "train_flow", ignore_errors=True)
-            export.notes.append("the run has no flow, so there is no train_flow")
-            return
-        seen.add(frame.camera_name)
-        if flow is not None:
-            write_flow_file(folder / "train_flow" / flow_name(number), flow)
-        export.progress((number + 1) / len(train), f"{number + 1} of {len(train)} flow files")
 
 
 def moving_folder(folder: Path, notes: list[str]) -> Path:

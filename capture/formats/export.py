@@ -1,8 +1,8 @@
 """A calibrated scene written as a data set: into a new folder, which is renamed when it is whole.
 
-nerfstudio and COLMAP keep every camera's lens, and get the pictures as they are. The others have one focal
-length: their pictures are undistorted to a common pinhole camera. Looks are applied in all formats. An earlier export
-of the same format is replaced if it holds nothing else; any other folder that holds something is left alone.
+The formats keep every camera's lens, and get the pictures as they are but for looks and mattes, which are applied. An
+earlier export of the same format is replaced if it holds nothing else; any other folder that holds something is left
+alone.
 """
 
 import fcntl
@@ -12,27 +12,17 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import numpy as np
-from jaxtyping import UInt8
-
-from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats.files import safe_name
-from devrf.capture.formats.flow_files import Flow
 from devrf.capture.formats.readme import readme
 from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import PosedFrame, Scene, plain_colour, read_matted
 from devrf.capture.writable import check_folder
 
-if TYPE_CHECKING:
-    from devrf.capture.undistort import Undistorter
-
 MARKER = ".devrf-export"  # holds the name of the format, and those of all files on a line each
 README = "README.txt"
-FindFlow = Callable[[PosedFrame], Flow | None]
 
 
 @dataclass
@@ -42,14 +32,12 @@ class Export:
     Attributes:
         scene: The scene.
         folder: Empty folder to write into.
-        find_flow: Backward flow of a frame at any size of its picture, or None.
         progress: To be called with (fraction done, short text).
         notes: What people should know of this data set; added to its README.txt.
     """
 
     scene: Scene
     folder: Path
-    find_flow: FindFlow
     progress: Progress
     notes: list[str] = field(default_factory=list)
 
@@ -59,7 +47,6 @@ def write_export(
     dataset_format: str,
     write: Callable[[Export], None],
     folder: Path,
-    find_flow: FindFlow = lambda frame: None,
     progress: Progress = no_progress,
     notes: Sequence[str] = (),
 ) -> list[str]:
@@ -70,7 +57,7 @@ def write_export(
         CaptureError: The format cannot hold this scene, or a picture is missing.
     """
     with new_folder(folder, dataset_format) as new:
-        export = Export(scene, new, find_flow, progress, list(notes))
+        export = Export(scene, new, progress, list(notes))
         write(export)
         (new / README).write_text(readme(scene, dataset_format, export.notes))
     return export.notes
@@ -193,81 +180,3 @@ def stems(frames: tuple[PosedFrame, ...]) -> list[str]:
     keys = [(f.camera_name, f.index) for f in frames]
     unique = len(set(keys)) == len(keys)
     return [f"{safe_name(f.camera_name)}/{f.index if unique else n:06d}" for n, f in enumerate(frames)]
-
-
-def static_of(export: Export, what: str, left_out: bool = True) -> tuple[PosedFrame, ...]:
-    """The pictures at rest, for formats that hold nothing else (`left_out`: those in motion, which is said).
-
-    Raises:
-        CaptureError: There are none.
-    """
-    scene = export.scene
-    if not scene.static:
-        text = f"{what} holds a scene at rest, and this scene has no sweep; export to nerfstudio"
-        raise CaptureError("rest-missing", text)
-    if scene.dynamic and left_out:
-        export.notes.append(
-            f"{what} has no times: the {len(scene.dynamic)} pictures in motion are left out (nerfstudio, colmap and "
-            "devrf hold them)"
-        )
-    return scene.static
-
-
-class Pinholes:
-    """Pictures of several cameras as one pinhole camera sees them."""
-
-    def __init__(self, export: Export, frames: tuple[PosedFrame, ...], part: str = "") -> None:
-        """Of `frames`, to be written into folder `part` of the export.
-
-        Where the background is plain nothing is cut; where surroundings are seen no pixel stays empty.
-        """
-        from devrf.capture.undistort import common_pinhole  # by OpenCV, which reading does not need
-
-        self.export = export
-        self.whole = plain_colour(export.scene.background) is not None
-        self.pinhole = common_pinhole([f.camera for f in frames], self.whole)
-        self._undistorters: dict[tuple, Undistorter] = {}
-        self.same = all(self._of(f.camera).same for f in frames)
-        if not self.same:
-            how = (
-                "nothing is cut, what a camera did not see is transparent"
-                if self.whole
-                else "cut to what all see"
-            )
-            size = f"{self.pinhole.width}x{self.pinhole.height}"
-            which = f"pictures in {part}/" if part else "pictures"
-            export.notes.append(f"{which} are undistorted to one pinhole camera of {size} ({how})")
-
-    def camera(self, frame: PosedFrame) -> Camera:
-        """The pinhole camera where a frame's camera is."""
-        return replace(self.pinhole, cam_from_world=frame.camera.cam_from_world)
-
-    def write(self, frame: PosedFrame, path: Path, alpha: bool = True) -> PosedFrame:
-        """Write a frame's picture as PNG; the frame as it is in the data set."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        undistorter = self._of(frame.camera)
-        rgba = _with_alpha(read_matted(frame, self.export.scene.background))
-        if rgba.shape[:2] != (frame.camera.height, frame.camera.width):
-            wrong = f"{frame.path}: picture has another size than its calibration"
-            raise CaptureError("picture-size-wrong", f"{wrong}; run again with --force scene")
-        picture = undistorter.picture(rgba)
-        write_png(path, picture if alpha else picture[..., :3])
-        return replace(frame, path=path, camera=self.camera(frame), flow=None, look=None, matte=None)
-
-    def flow(self, frame: PosedFrame) -> Flow | None:
-        """A frame's backward flow at the size of the written picture."""
-        found = self.export.find_flow(frame)
-        return None if found is None else self._of(frame.camera).flow(*found)
-
-    def _of(self, camera: Camera) -> "Undistorter":
-        from devrf.capture.undistort import Undistorter
-
-        if camera.lens not in self._undistorters:
-            self._undistorters[camera.lens] = Undistorter(camera, self.pinhole)
-        return self._undistorters[camera.lens]
-
-
-def _with_alpha(pixels: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w 4"]:
-    """Opaque where the file has no alpha."""
-    opaque = np.full((*pixels.shape[:2], 4 - pixels.shape[2]), 255, np.uint8)
-    return np.concatenate([pixels, opaque], axis=2)

@@ -16,19 +16,15 @@ from jaxtyping import Float
 from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import Pictures, faces_forward
-from devrf.capture.formats.export import Export, Pinholes, static_of
+from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.files import Header, read_header
 from devrf.capture.formats.listed import TEST_LIST, pictures_of_list, read_names
 from devrf.capture.formats.opengl import cam_from_opengl
 from devrf.capture.formats.row_order import order_that_fits
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import PosedFrame
 
 FACTORS = ("", "_2", "_4", "_8")  # endings of folders with smaller copies, the largest first
-DEPTH_PERCENTILES = (0.1, 99.9)
-LEAST_POINTS = 10  # in a picture, for its own bounds
-LEAST_NEAR = 0.01  # of far, where the scene says no nearest content
 
 Rows = tuple[tuple[PosedFrame, ...], Float[np.ndarray, "n 2"]]
 
@@ -41,46 +37,6 @@ def read_llff(folder: Path, notes: list[str]) -> Pictures:
     test = pictures_of_list(names or [], [f.path.name for f in frames], TEST_LIST, notes)
     frames = tuple(replace(f, split="test") if n in test else f for n, f in enumerate(frames))
     return Pictures(frames, has_split=names == [] or bool(test), bounds=bounds, behind="black")
-
-
-def write_llff(export: Export) -> None:
-    """The scene at rest as one pinhole camera sees it, with the bounds of its content."""
-    frames = static_of(export, "llff")
-    if not faces_forward([f.camera for f in frames]):
-        export.notes.append(
-            "the cameras do not look the same way; most readers of LLFF expect a forward-facing scene"
-        )
-    pinholes = Pinholes(export, frames)
-    camera, near_far = pinholes.pinhole, bounds_of(export.scene)
-    alpha = any(read_header(f.path).alpha or (pinholes.whole and f.matte is not None) for f in frames)
-    alpha = alpha or (pinholes.whole and not pinholes.same)
-    rows, test = [], []
-    for n, frame in enumerate(frames):
-        name = f"{n:06d}.png"
-        pose = pinholes.write(frame, export.folder / "images" / name, alpha).camera.world_from_cam
-        hwf = [camera.height, camera.width, camera.K[0, 0]]
-        matrix = np.column_stack([pose[:3, 1], pose[:3, 0], -pose[:3, 2], pose[:3, 3], hwf])
-        rows.append(np.concatenate([matrix.ravel(), near_far[n]]))
-        test += [name] if frame.split == "test" else []
-        export.progress((n + 1) / len(frames), f"{n + 1} of {len(frames)} pictures")
-    np.save(export.folder / "poses_bounds.npy", np.array(rows))
-    (export.folder / TEST_LIST).write_text("".join(f"{name}\n" for name in test))
-
-
-def bounds_of(scene: Scene) -> Float[np.ndarray, "static 2"]:
-    """Nearest and farthest depth in every picture at rest: of the points it shows (0.1 and 99.9 percentile, as
-    LLFF), else as the scene says for all."""
-    scale = float(np.cbrt(np.linalg.det(scene.box_from_world[:3, :3])))
-    far = scene.far / scale
-    out = np.tile([max(scene.near / scale, LEAST_NEAR * far), far], (len(scene.static), 1))
-    points = scene.points
-    for n, frame in enumerate(scene.static if points is not None else ()):
-        assert points is not None
-        xyz = points.xyz[points.obs_point[points.obs_frame == n]]
-        depth = xyz @ frame.camera.cam_from_world[2, :3] + frame.camera.cam_from_world[2, 3]
-        if (depth > 0).sum() >= LEAST_POINTS:
-            out[n] = np.percentile(depth[depth > 0], DEPTH_PERCENTILES)
-    return out
 
 
 def llff_frames(folder: Path, rows: Float[np.ndarray, "n 17"], notes: list[str]) -> Rows:

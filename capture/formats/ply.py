@@ -1,23 +1,22 @@
-"""PLY files (Turk 1994, "The PLY Polygon File Format"), binary, little endian: points, triangle meshes, 3D Gaussians.
+"""PLY files (Turk 1994, "The PLY Polygon File Format"), binary, little endian: points, 3D Gaussians.
 
-Vertices of points and meshes carry x, y, z, then normals nx, ny, nz where there are some, and 8-bit sRGB red, green,
-blue. Gaussians have the published program's layout, which viewers of 3D Gaussian splatting open, all 32-bit floats:
-x y z, nx ny nz (zero), f_dc_0..2 (colour: RGB = 0.5 + SH0 f_dc), opacity (before the sigmoid), scale_0..2 (logarithms
-of the standard deviations), rot_0..3 (unit quaternion w x y z).
+Points carry x, y, z, then normals nx, ny, nz where there are some, and 8-bit sRGB red, green, blue. Gaussians have the
+published program's layout, which viewers of 3D Gaussian splatting open, all 32-bit floats: x y z, nx ny nz (zero),
+f_dc_0..2 (colour: RGB = 0.5 + SH0 f_dc), opacity (before the sigmoid), scale_0..2 (logarithms of the standard
+deviations), rot_0..3 (unit quaternion w x y z).
 """
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 TYPES = {"f4": "float", "u1": "uchar"}
 SH0 = 0.28209479177387814  # the spherical harmonic of degree 0: 1 / (2 sqrt(pi))
 OF_SPLATS = (
     "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
 )
-FACE = np.dtype([("count", "u1"), ("vertices", "<i4", 3)])
 
 
 def write_ply(
@@ -25,10 +24,9 @@ def write_ply(
     xyz: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"] | None,
     rgb: Float[np.ndarray, "n 3"],
-    faces: Int[np.ndarray, "f 3"] | None = None,
     comments: Sequence[str] = (),
 ) -> None:
-    """Write a point cloud, or with faces (vertex numbers, counter-clockwise from outside) a mesh; sRGB in [0, 1]."""
+    """Write a point cloud; sRGB colours in [0, 1]."""
     lengths = [*xyz.T, *(() if normals is None else normals.T)]
     names = ["x", "y", "z", "nx", "ny", "nz"][: len(lengths)]
     layout = np.dtype([*((n, "<f4") for n in names), *((n, "u1") for n in ("red", "green", "blue"))])
@@ -37,13 +35,7 @@ def write_ply(
     for name, values in zip(layout.names or (), [*lengths, *codes.T], strict=True):
         vertices[name] = values
     head = [f"property {TYPES[layout[name].str[1:]]} {name}" for name in layout.names or ()]
-    body = vertices.tobytes()
-    if faces is not None:
-        head += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-        rows = np.empty(len(faces), FACE)
-        rows["count"], rows["vertices"] = 3, faces
-        body += rows.tobytes()
-    _write(path, len(xyz), head, body, comments)
+    _write(path, len(xyz), head, vertices.tobytes(), comments)
 
 
 def write_splat_ply(

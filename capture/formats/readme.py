@@ -7,23 +7,12 @@ from devrf.capture.scene import Scene
 AXES = {
     "nerfstudio": "transform_matrix is camera-to-world with OpenGL's axes: x right, y up, z back. fl_x, fl_y, cx, cy "
     "and the distortion stand per frame; pixel (0, 0) has its centre at (0.5, 0.5).",
-    "blender": "transform_matrix is camera-to-world with OpenGL's axes: x right, y up, z back. One focal length "
-    "(camera_angle_x), square pixels, principal point at the picture's middle.",
-    "devrf": "transform_matrix is camera-to-world with OpenGL's axes: x right, y up, z back. One focal length "
-    "(camera_angle_x) per folder, square pixels, principal point at the picture's middle.",
-    "llff": "Rows of poses_bounds.npy: 3x5 camera-to-world [R | t | height, width, focal], columns of R down, right, "
-    "back; then the nearest and farthest depth. Rows are in the order of the pictures' names.",
     "colmap": "World-to-camera poses with OpenCV's axes: x right, y down, z forward; pixel (0, 0) has its centre at "
     "(0.5, 0.5).",
 }
 FILES = {
     "nerfstudio": "transforms.json; images/static: the scene at rest; images/<camera>: the scene in motion; "
     "sparse_pc.ply: the sparse points, where there are some.",
-    "blender": "transforms_train.json, transforms_test.json (transforms_val.json is the same as test), pictures as "
-    "RGBA in train/ and test/.",
-    "devrf": "static/ and dynamic_<n>views/, each with transforms_train.json, transforms_test.json "
-    "(transforms_val.json is the same as test) and pictures as RGBA.",
-    "llff": "poses_bounds.npy, images/, test.txt (names of the test pictures).",
     "colmap": "sparse/0 (binary), images/, sparse/0/test.txt (names of the test pictures). Keypoints are where the "
     "points project, points have the mean colour of the pictures, errors are unknown (-1). motion/ is the same for the "
     "pictures in motion (without points), with the fixed cameras as a rig (rigs.bin, frames.bin) and the times of the "
@@ -40,7 +29,7 @@ def readme(scene: Scene, dataset_format: str, notes: list[str]) -> str:
         f"Axes: {AXES[dataset_format]}",
         f"Scale: positions are in {unit}. The world's axes are those of the calibration; none is up by rule.",
     ]
-    if scene.dynamic and dataset_format in ("nerfstudio", "devrf", "colmap"):
+    if scene.dynamic:
         paragraphs.append(
             f"Time: time 0 is {scene.t0_s:.6f} s and time 1 is {scene.t1_s:.6f} s on the first camera's clock. Every "
             "picture has its own exact time; cameras need not be triggered together."

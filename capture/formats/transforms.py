@@ -49,8 +49,6 @@ def frame_entry(frame: PosedFrame, base: Path) -> dict[str, Any]:
     }
     if frame.look is not None:
         entry |= {"colour_matrix": frame.look.matrix, "colour_gains": frame.look.gains}
-        if frame.look.flat is not None:
-            entry["flat_field_path"] = relative_to(frame.look.flat, base)
     beside = {"flow_path": frame.flow, "mask_path": frame.matte}
     return {**entry, **{key: relative_to(path, base) for key, path in beside.items() if path is not None}}
 
@@ -107,14 +105,13 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
 
 def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
     """The look of an entry; None where it names none."""
-    matrix, gains, flat = (entry.get(k) for k in ("colour_matrix", "colour_gains", "flat_field_path"))
-    if matrix is None and gains is None and flat is None:
+    matrix, gains = (entry.get(k) for k in ("colour_matrix", "colour_gains"))
+    if matrix is None and gains is None:
         return None
     try:
         return Look(
             SAME if matrix is None else as_matrix(np.array(matrix, np.float64).reshape(3, 3)),
             EVEN if gains is None else as_gains(np.array(gains, np.float64).reshape(3)),
-            None if flat is None else (base / flat).resolve(),
         )
     except (TypeError, ValueError) as error:
         wrong = f"{where}: its look cannot be used ({error})"

@@ -1,4 +1,4 @@
-"""Mattes of one camera's pictures by any method: written as grey PNG of the picture's size, and measured."""
+"""Mattes of one camera's pictures, given or by a screen: written as grey PNG of the picture's size, and measured."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -11,8 +11,6 @@ from jaxtyping import Float, UInt8
 
 from devrf.capture.cores import usable_cores
 from devrf.capture.mattes.chroma import chroma_matte, find_key, is_screen_hue, key_share
-from devrf.capture.mattes.clean_plate import clean_plate, plate_matte
-from devrf.capture.mattes.command import MatteCommand, run_on_pictures
 from devrf.capture.mattes.given import find_mattes, is_inverted, read_given
 from devrf.capture.mattes.measure import MatteFacts, measure
 from devrf.capture.picture_files import read_pixels, write_png
@@ -51,7 +49,6 @@ class CameraMattes:
         key_rgb: The screen's colour, 0 to 255.
         doubtful_key: Whether that colour was found, not named, and is neither a green nor a blue screen's.
         spill: Share of the screen's colour within the subject's edge; None without a screen.
-        hidden: Share of what the subject ever covers that has no lasting background; None without a clean plate.
     """
 
     files: tuple[Path, ...]
@@ -60,7 +57,6 @@ class CameraMattes:
     key_rgb: tuple[float, float, float] | None = None
     doubtful_key: bool = False
     spill: float | None = None
-    hidden: float | None = None
 
 
 def given_mattes(
@@ -99,32 +95,6 @@ def chroma_mattes(
     spill = float(np.median(spills)) if spills else None
     doubtful = colour is None and not is_screen_hue(key)
     return CameraMattes(files, facts, key_rgb=(red, green, blue), doubtful_key=doubtful, spill=spill)
-
-
-def background_mattes(clip: Clip, out: Path, progress: Progress = no_progress) -> CameraMattes:
-    """Mattes of a fixed camera by its clean plate."""
-    plate = clean_plate(clip.files)
-    files, facts = _write(clip, lambda n, picture: plate_matte(picture, plate), out, progress)
-    ever = np.any([fact.small for fact in facts], axis=0)
-    unsteady = cv2.resize(
-        plate.unsteady.astype(np.uint8), clip.small_sizes[0], interpolation=cv2.INTER_NEAREST
-    )
-    return CameraMattes(files, facts, hidden=float(unsteady[ever].mean()) if ever.any() else 0.0)
-
-
-def command_mattes(
-    clip: Clip, command: MatteCommand, kept: Path, out: Path, progress: Progress = no_progress
-) -> CameraMattes:
-    """Mattes by a program; its own files stay in `kept`."""
-    made = run_on_pictures(
-        command, clip.files, kept, lambda f, text: progress(0.9 * f, f"{clip.camera}: {text}")
-    )
-
-    def source(n: int, picture: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w"]:
-        return read_given(made[n], picture.shape[1], picture.shape[0], inverted=False)
-
-    files, facts = _write(clip, source, out, lambda f, text: progress(0.9 + 0.1 * f, text))
-    return CameraMattes(files, facts)
 
 
 def _write(

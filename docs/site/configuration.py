@@ -15,7 +15,6 @@ MORE = {  # key or section -> page that says more
     "capture.timestamps": "formats.md#timestamps-table",
     "capture.board": "field.md#init",
     "capture.raw": "ingest.md",
-    "capture.white": "colour.md",
     "capture.mattes": "mattes.md",
     "dataset": "formats.md#data-sets",
     "calibration.rig.given": "formats.md#calibrations-of-other-tools",

@@ -26,7 +26,7 @@ SOUND_READ = 48_000 * 16  # bytes a second of decoded sound
 def photos_too_large(config: "SceneConfig", session: CaptureSession) -> list[str]:
     """What is wrong with photos of which not even one fits into the memory that is allowed, one text per folder."""
     allowed, problems = allowed_bytes(config), []
-    for folder in (session.static, *session.board_clips.values(), *session.white.values()):
+    for folder in (session.static, *session.board_clips.values()):
         if folder is None or not folder.is_dir():
             continue
         photos = [(probe_picture(path), RAW if is_raw(path) else PHOTO) for path in list_pictures(folder)]

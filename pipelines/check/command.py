@@ -108,7 +108,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
     if spec is not None:
         sections["board"] = board_rows(session, spec, part(progress, 0.8, 0.15))
     sections["scale"] = _scale(config)
-    sections[FILES] = left_out(config, session, scene_dir)
+    sections[FILES] = left_out(session, scene_dir)
     sections[RESOURCES] = _resources(config, run_dir)
     return {title: rows for title, rows in sections.items() if rows}
 
@@ -121,10 +121,9 @@ def _scale(config: SceneConfig) -> list[HealthRow]:
     return scale_rows([], ARBITRARY, unmeasured_board=board is not None)
 
 
-def left_out(config: SceneConfig, session: CaptureSession, scene_dir: Path) -> list[HealthRow]:
+def left_out(session: CaptureSession, scene_dir: Path) -> list[HealthRow]:
     """Clips beside scene.yaml that it does not name: a camera that was forgotten, or one that `init` could not use."""
-    charts = [config.path(scene_dir, file) for file in config.calibration.colour.chart.values()]
-    used = {file.resolve() for file in (*session.files(), *charts)}
+    used = {file.resolve() for file in session.files()}
     clips = [clip for clip in find_material(scene_dir).clips if clip.resolve() not in used]
     names = ", ".join(str(clip.relative_to(scene_dir)) for clip in clips)
     return [note("clips in this folder that scene.yaml does not use", names)] if clips else []

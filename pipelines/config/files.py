@@ -17,13 +17,11 @@ def input_paths(config: SceneConfig) -> dict[str, str]:
         "capture.cameras": capture.cameras,
         "capture.test_cameras": capture.test_cameras if isinstance(capture.test_cameras, dict) else None,
         "capture.timestamps": capture.timestamps,
-        "capture.white": capture.white,
         "capture.mattes.folder": capture.mattes.folder if capture.mattes else None,
         "capture.board.clips": capture.board.clips if capture.board else None,
         "capture.board.joint_clips": capture.board.joint_clips if capture.board else None,
         "calibration.static_poses.masks": calibration.static_poses.masks,
         "calibration.rig.given": calibration.rig.given,
-        "calibration.colour.chart": calibration.colour.chart,
         "evaluate.lpips_weights": None if weights == "download" else weights,
         "evaluate.truth": evaluate.truth,
         "flow.weights": config.flow.weights,
@@ -74,7 +72,7 @@ def check_files_exist(config: SceneConfig, scene_dir: Path, say: Say) -> None:
         if not text.strip():
             say(key, "is empty; expected a path")
         elif not path.exists():
-            hint = "; or one of chroma, background" if key == "capture.mattes.folder" else ""
+            hint = "; or chroma" if key == "capture.mattes.folder" else ""
             say(key, f"{text!r}: no such file or folder ({path}){near_file(path)}{hint}")
         elif not (path.is_file() or path.is_dir()):
             say(key, f"{text!r} is a device or a pipe; expected a file")

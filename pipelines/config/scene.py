@@ -25,6 +25,7 @@ from pydantic import (
 
 from devrf.capture.rest import Rest
 from devrf.flow.methods import mistake
+from devrf.pipelines.config.gone import GONE_VALUES
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
@@ -133,48 +134,34 @@ class RawConfig(_Section):
 class MattesConfig(_Section):
     """Where the subject is, picture by picture."""
 
-    method: Literal["given", "chroma", "background", "command"]
-    """given: a folder of mattes; chroma: a coloured screen; background: what differs from a fixed camera's clean
-    plate (fixed cameras only); command: a program of yours."""
+    method: Literal["given", "chroma"]
+    """given: a folder of mattes; chroma: a coloured screen."""
     folder: PathText | None = None
     """given: holds a folder per camera, and `static` for the sweep."""
     inverted: AutoBool = "auto"
     """given: whether the subject is black on white."""
     colour: str = Field(default="auto", pattern="^(auto|#[0-9a-fA-F]{6})$")
     """chroma: the screen's colour, auto or #rrggbb; auto finds each camera's."""
-    command: Annotated[tuple[str, ...], BeforeValidator(_as_tuple)] | None = None
-    """command: program and arguments, with {image} and {matte} for the files; run without a shell in the folder of
-    scene.yaml."""
-    timeout_s: float = Field(default=120.0, gt=0, le=3600)
-    """command: longest time for one picture."""
 
     @model_validator(mode="after")
     def _keys_of_the_method(self) -> "MattesConfig":
-        for needed in ("folder", "command"):
-            if METHOD_OF[needed] == self.method and not getattr(self, needed):
-                raise ValueError(f"{needed} is missing; method: {self.method} needs it")
+        if self.method == "given" and not self.folder:
+            raise ValueError("folder is missing; method: given needs it")
         for key in sorted(self.model_fields_set - {"method"}):
             if METHOD_OF[key] != self.method:
                 raise ValueError(f"{key} is for method: {METHOD_OF[key]}, and the method is {self.method}")
         return self
 
 
-METHOD_OF = {
-    "folder": "given",
-    "inverted": "given",
-    "colour": "chroma",
-    "command": "command",
-    "timeout_s": "command",
-}
+METHOD_OF = {"folder": "given", "inverted": "given", "colour": "chroma"}
 
 
 def _mattes(value: Any) -> Any:
     """A word is a method that needs no more, or a folder."""
-    if isinstance(value, str):
-        return (
-            {"method": value} if value in ("chroma", "background") else {"method": "given", "folder": value}
-        )
-    return value
+    if not isinstance(value, str):
+        return value
+    is_method = value == "chroma" or f"capture.mattes.method: {value}" in GONE_VALUES
+    return {"method": value} if is_method else {"method": "given", "folder": value}
 
 
 class CaptureConfig(_Section):
@@ -199,11 +186,9 @@ class CaptureConfig(_Section):
     """The calibration board, where one was filmed."""
     raw: RawConfig = RawConfig()
     """RAW photos."""
-    white: dict[str, PathText] = {}
-    """Camera, or static for the sweep's -> clip, photo or folder of photos of a white sheet: its light fall-off."""
     mattes: Annotated[MattesConfig, BeforeValidator(_mattes)] | None = None
-    """Mattes of the subject: a folder with one per camera, and `static` for the sweep; `chroma`; `background`; or a
-    section. A room needs none."""
+    """Mattes of the subject: a folder with one per camera, and `static` for the sweep; `chroma`; or a section. A room
+    needs none."""
 
     @field_validator("range_s")
     @classmethod
@@ -304,12 +289,9 @@ class RigConfig(_Section):
 class ColourConfig(_Section):
     """Cameras brought to one look."""
 
-    method: Literal["auto", "chart", "points", "none"] = "auto"
-    """How cameras are brought to one look: from a chart, or from surface points that two cameras see; auto: the
-    chart of a camera where one is given, else points."""
-    chart: dict[str, PathText] = {}
-    """Camera, or static for the sweep's -> photo or clip of one chart of 24 patches, in one light. The reference
-    (the sweep, else the first camera) is needed."""
+    method: Literal["auto", "points", "none"] = "auto"
+    """How cameras are brought to the look of the sweep's, else of the first: auto and points: by surface points that
+    two cameras see; none: they stay as filmed."""
 
 
 class CalibrationConfig(_Section):

@@ -63,17 +63,14 @@ def _names(capture: CaptureConfig) -> Mistakes:
 
 def _named_elsewhere(config: SceneConfig, capture: CaptureConfig, *, sweep_written: bool) -> Mistakes:
     """Names of cameras in other keys."""
-    sync, chart, board = config.calibration.sync, config.calibration.colour.chart, capture.board
+    sync, board = config.calibration.sync, capture.board
     fixed = list(capture.all_cameras)
-    swept = ["static"] if capture.static is not None else []
-    written = ["static"] if swept or sweep_written else []
+    written = ["static"] if capture.static is not None or sweep_written else []
     listed = capture.test_cameras if isinstance(capture.test_cameras, list) else ()
     for key, names, known in (
         ("calibration.sync.av_lag_s", sync.av_lag_s, fixed),
         ("calibration.sync.readout_s", sync.readout_s, fixed),
-        ("calibration.colour.chart", chart, swept + fixed),
         ("capture.test_cameras", listed, list(capture.cameras)),
-        ("capture.white", capture.white, written + fixed),
         ("capture.board.clips", board.clips if board else (), written + fixed),
         ("capture.board.joint_clips", board.joint_clips if board else (), fixed),
     ):
@@ -81,16 +78,11 @@ def _named_elsewhere(config: SceneConfig, capture: CaptureConfig, *, sweep_writt
             if name not in known:
                 near = suggestion(name, known)
                 yield f"{key}.{name}", f"no camera has this name{near} ({', '.join(known)})"
-    by_sweep = capture.static is not None and config.calibration.rig.method != "board"
-    reference = "static" if by_sweep else next(iter(capture.training_cameras), None)
-    if chart and reference is not None and reference not in chart:
-        text = "is missing; all cameras are brought to the look of this one"
-        yield f"calibration.colour.chart.{reference}", text
 
 
 def _missing(config: SceneConfig, capture: CaptureConfig, *, board_is_wrong: bool) -> Mistakes:
     """What a method needs, or what cameras without a sweep need."""
-    rig, colour = config.calibration.rig, config.calibration.colour
+    rig = config.calibration.rig
     joint = capture.board.joint_clips if capture.board else {}
     without = [name for name in capture.all_cameras if name not in joint]
     if config.kind == "cameras" and capture.cameras and rig.given is None:
@@ -102,13 +94,10 @@ def _missing(config: SceneConfig, capture: CaptureConfig, *, board_is_wrong: boo
                 "is missing, and without a sweep the cameras' poses come from a board that several see "
                 "(capture.board.joint_clips) or from a file (calibration.rig.given); give one of the three",
             )
-    if capture.mattes is not None and capture.mattes.method == "background" and config.kind == "sweep":
-        yield "capture.mattes", "background needs fixed cameras, and there is only a sweep"
     for key, value, method, wanted in (
         ("calibration.rig.given", rig.given, rig.method, "given"),
         ("capture.board.joint_clips", joint, rig.method, "board"),
         ("capture.static", capture.static, rig.method, "sweep"),
-        ("calibration.colour.chart", colour.chart, colour.method, "chart"),
     ):
         if method == wanted and (value is None or value == {}):
             yield key, f"is missing; method: {wanted} needs it"

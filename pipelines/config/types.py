@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from devrf.pipelines.config.gone import GONE
+from devrf.pipelines.config.gone import GONE, GONE_VALUES
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.config.words import Say, suggestion
 
@@ -55,12 +55,15 @@ def _place(data: Any, location: tuple) -> tuple:
 def _message(item: Any, location: tuple, data: dict) -> tuple[str, str]:
     """What is there, where it helps to see it, and what is wrong with it."""
     kind, context = item["type"], item.get("ctx", {})
+    dotted = ".".join(map(str, location))
     if kind == "extra_forbidden":
-        if (gone := GONE.get(".".join(map(str, location)))) is not None:
+        if (gone := GONE.get(dotted)) is not None:
             return "", f"is no longer a key: {gone}"
         keys = _keys(location[:-1])
         near = suggestion(str(location[-1]), keys) or f"; expected one of {', '.join(keys)}"
         return "", f"unknown key{near}"
+    if kind == "literal_error" and (gone := GONE_VALUES.get(f"{dotted}: {item['input']}")) is not None:
+        return f"{item['input']!r} ", f"is no longer known: {gone}"
     if kind == "missing" and not _has(data, location):
         return "", "is missing"
     if kind == "value_error":

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from devrf.capture.errors import InputError
 from devrf.capture.formats.export import check_target
+from devrf.pipelines.config.gone import GONE_VALUES
 from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.formats import FORMATS
@@ -43,7 +44,8 @@ def export(
         DevrfError: The format cannot hold this scene, a picture is missing, or nothing can be written.
     """
     if name not in FORMATS:
-        text = f"--format {name}: expected {', '.join(FORMATS)}{suggestion(name, FORMATS)}"
+        expected = f"expected {', '.join(FORMATS)}{suggestion(name, FORMATS)}"
+        text = f"--format {name}: {GONE_VALUES.get(f'--format {name}', expected)}"
         raise InputError("option-unknown-value", text)
     chosen, options = FORMATS[name], options or Options()
     if out is None:

@@ -1,4 +1,4 @@
-"""Exports of the surface as a triangle mesh: one per time (`mesh`), or one that moves (`glb`)."""
+"""Export of the surface as a triangle mesh that moves (`glb`)."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from devrf.capture.errors import InputError, ReconstructError
-from devrf.capture.formats import gltf, obj, ply
+from devrf.capture.formats import gltf
 from devrf.capture.progress import Progress
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import KEYS
-from devrf.pipelines.export.trained import AXES, Trained, bounds_of
+from devrf.pipelines.export.trained import Trained, bounds_of
 from devrf.reconstruct.pictures import spread
 
 if TYPE_CHECKING:  # it needs torch
@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.model import DynamicModel
     from devrf.reconstruct.movers import Movers
 
-TIMES, STANDS = "10", "what stands"
+STANDS = "what stands"
 COMPARED = 5  # moments at which meshes that move are held against the surface then
 GLTF_FROM_UPRIGHT = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])  # y up; the front looks along +z
 GLTF_AXES = (
@@ -30,48 +30,6 @@ GLTF_AXES = (
 
 
 def write(request: Request) -> None:
-    """Write `mesh_0000.ply` and `mesh_0000.obj` and so on, one pair per time."""
-    level, trained = _level(request), Trained(request, TIMES)
-    from devrf.reconstruct.geometry.field import field_at
-    from devrf.reconstruct.geometry.seen import solid
-    from devrf.reconstruct.geometry.surface import coloured, normals_of, surface_of
-
-    model = solid(trained.model)
-    entries: list[dict[str, Any]] = []
-    with request.new_folder() as new, request.talk.progress("export mesh") as progress:
-        views = _views(trained, model, progress)
-        for n, moment in enumerate(trained.moments):
-            field = field_at(model, moment.time)
-            found = surface_of(field, level, marching_cubes)
-            rgb, xyz = coloured(views, found, field), trained.to_world(found.vertices)
-            normals = normals_of(xyz, found.faces)
-            comments = ["devrf mesh in the world of the calibration", f"unit: {trained.unit}", moment.said()]
-            stem = f"mesh_{n:04d}"
-            ply.write_ply(new / f"{stem}.ply", xyz, normals, rgb, found.faces, comments)
-            obj.write_obj(new / f"{stem}.obj", xyz, normals, rgb, found.faces, comments)
-            entries.append(
-                {
-                    "files": [f"{stem}.ply", f"{stem}.obj"],
-                    "time": moment.time,
-                    "time_s": moment.time_s,
-                    "vertices": len(xyz),
-                    "faces": len(found.faces),
-                    "crumbs_left_out": found.crumbs,
-                    **bounds_of(xyz),
-                }
-            )
-            progress(0.5 + 0.5 * (n + 1) / len(trained.moments), f"time {n + 1} of {len(trained.moments)}")
-        trained.describe(
-            new,
-            files="mesh_0000.ply, mesh_0000.obj and so on: the same mesh twice for each time, in order (times in "
-            f"export.json). {_made(level)} Each time has a mesh of its own; glb has one that moves. Colours "
-            "are sRGB, per vertex.",
-            axes=AXES,
-            facts={"files": entries, "level": level},
-        )
-
-
-def write_glb(request: Request) -> None:
     """Write `scene.glb`: the mesh at rest, moved by the forward motion; movers are meshes of their own."""
     level, trained = _level(request), Trained(request, KEYS)
     from devrf.reconstruct.geometry.seen import solid

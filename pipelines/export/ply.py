@@ -43,7 +43,7 @@ def write(request: Request) -> None:
                 f"unit: {trained.unit}",
                 moment.said(),
             ]
-            write_ply(path, xyz, trained.turned_to_world(cloud.normals), cloud.rgb, None, comments)
+            write_ply(path, xyz, trained.turned_to_world(cloud.normals), cloud.rgb, comments)
             entries.append(
                 {
                     "file": path.name,

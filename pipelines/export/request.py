@@ -17,7 +17,7 @@ class Options:
 
     Attributes:
         times: Which times, as in `times.chosen`.
-        level: Opacity of the surface of meshes.
+        level: Opacity of the surface of the mesh.
         splats: How many Gaussians.
         device: auto, cpu or cuda.
     """

@@ -1,7 +1,5 @@
 """Exports of the cameras alone, as a calibration."""
 
-import numpy as np
-
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import read_rig
 from devrf.capture.formats.export import README
@@ -24,10 +22,5 @@ def write(request: Request) -> None:
             request.notes.append(
                 "lengths have an arbitrary scale; programs that take them for metres are wrong"
             )
-        tangential = [
-            name for name, c in cameras.items() if c.model == "OPENCV" and np.abs(c.distortion[2:4]).max() > 0
-        ]
-        if request.name == "rig-anipose" and tangential:
-            request.notes.append(f"aniposelib leaves out p1 and p2, which {', '.join(tangential)} have")
         text = TEXT.format(unit="metres" if rig.scale.metric else rig.scale.source)
         (new / README).write_text(text + "".join(f"\nNote: {note}.\n" for note in request.notes))

@@ -155,7 +155,7 @@ def _what_is_wrong(name: str, plate: PlateFit, least: float, of_sweep: float) ->
     if plate.psnr < least and plate.by_light > MOSTLY:
         return (
             f"{name} saw the scene in other light, or with another exposure or white balance, than the sweep: leave "
-            "lamps, curtains and settings as they are, or film a colour chart (calibration.colour.chart)."
+            "lamps, curtains and settings as they are."
         )
     if plate.odd > MOST_ODD:
         x, y = plate.odd_at

@@ -9,8 +9,6 @@ from devrf.pipelines.health.rows import HealthRow, listed, note, row
 WORDS = {"gain": "one gain", "diagonal": "three gains", "matrix": "a 3x3 matrix"}
 UNIT = "of 1, rms of sRGB"
 MIXED = 0.05  # rms of sRGB: from here on seams between cameras are seen in renderings
-# twice as vague as a camera's brightness may be: a chart in the scene's light agrees far better
-CHART_STOPS = 0.2
 VAGUE_STOPS = 0.1  # standard deviation of a camera's brightness: more than many cameras differ
 
 
@@ -25,22 +23,13 @@ def colour_rows(colours: Colours, test_cameras: set[str]) -> Iterator[HealthRow]
         if name in (colours.reference, SWEEP):
             continue
         yield _camera(name, camera, target, name in test_cameras)
-        if camera.stops is not None and camera.stops_by_points is not None:
-            yield row(
-                f"brightness of {name} by its chart against that by surface points",
-                abs(camera.stops - camera.stops_by_points),
-                "EV",
-                warn_above=CHART_STOPS,
-                remedy=f"The chart of {name} or of {target} was filmed in other light or with other settings than "
-                "the scene: film it with both in one place, or leave it out.",
-            )
         if camera.stops_std is not None and camera.stops_std > VAGUE_STOPS:
             yield row(
                 f"brightness of {name} against {target}, standard deviation",
                 camera.stops_std,
                 "EV",
                 warn_above=VAGUE_STOPS,
-                remedy=f"{camera.fitted} points say little: film a colour chart (calibration.colour.chart).",
+                remedy=f"{camera.fitted} points say little: let its view overlap more with that of {target}.",
             )
     if not set(colours.cameras) - {colours.reference, SWEEP}:
         yield note("colours", f"only {target}: nothing to compare with")
@@ -48,12 +37,12 @@ def colour_rows(colours: Colours, test_cameras: set[str]) -> Iterator[HealthRow]
 
 def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthRow:
     if camera.apart.after is None or camera.stops is None:
-        if camera.source != "none":  # by the few patches of a chart that are unclipped
+        if camera.source != "none":
             return note(
                 f"colours of {name}", f"corrected by {WORDS.get(camera.kind, 'nothing')} from {camera.source}"
             )
-        text = "not compared: neither a chart nor enough surface points shared with cameras of known look"
-        remedy = f"Film a colour chart with {name} and {target} (calibration.colour.chart), or let views overlap more."
+        text = "not compared: too few surface points shared with cameras of known look"
+        remedy = f"Let the views of {name} and {target} overlap more."
         return note(f"colours of {name}", text, remedy=remedy)
     side = "brighter" if camera.stops > 0 else "darker"
     found = f"{name} {abs(camera.stops):.2f} EV {side} than {target}"
@@ -64,7 +53,7 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
             camera.apart.after,  # as it is, against the others as they are used
             UNIT,
             warn_above=MIXED,
-            remedy=f"Film one colour chart with {name} and {target} (calibration.colour.chart).",
+            remedy=f"Set the same exposure, white balance and picture profile by hand on {name} and {target}.",
         )
     how = f"corrected by {WORDS[camera.kind]}" if camera.kind in WORDS else "needs no correction"
     return row(
@@ -72,6 +61,5 @@ def _camera(name: str, camera: CameraColour, target: str, test: bool) -> HealthR
         camera.apart.after,
         UNIT,
         warn_above=MIXED,
-        remedy="Set the same exposure, white balance and picture profile by hand on all cameras, or film a colour "
-        "chart (calibration.colour.chart).",
+        remedy="Set the same exposure, white balance and picture profile by hand on all cameras.",
     )

@@ -106,12 +106,11 @@ def clip_rows(name: str, source: str, light: LightFound, trains: bool = True) ->
             f"{source}: white balance is automatic; set it by hand and lock it.",
         )
     if light.flicker is not None:
-        lamp_hz = round(light.flicker.lamp_hz)
         yield note(
-            f"lamps seen by {name}",
-            f"flicker by {100 * light.flicker.depth:.0f} % on mains of {lamp_hz // 2} Hz, "
-            f"seen {light.flicker.seen_hz:.2f} times a second",
-            remedy=f"{source}: set the shutter to 1/{lamp_hz // 2} or 1/{lamp_hz} s, or light without mains lamps.",
+            f"flicker of {name}",
+            f"by {100 * light.flicker.depth:.0f} %, seen {light.flicker.seen_hz:.2f} times a second",
+            remedy=f"{source}: set the shutter to the period of the lamps (1/50 or 1/100 s on mains of 50 Hz, 1/60 or "
+            "1/120 s on 60 Hz), or light without mains lamps.",
         )
 
 

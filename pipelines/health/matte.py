@@ -16,7 +16,6 @@ MOST_HOLES = 0.01  # of the subject's area
 MOST_RIM = 0.5  # of the outermost pixels; of a matte that is right to the pixel they mix both
 # of the screen's colour on the subject, well within its edge; from 0.2 on mattes let through
 MOST_SPILL = 0.05
-MOST_HIDDEN = 0.5  # of what the subject covers
 
 
 @listed
@@ -60,15 +59,6 @@ def matte_health(mattes: SceneMattes, method: str) -> Iterator[HealthRow]:
             f"screen's colour on the subject ({name})", 100 * spill, "%", warn_above=100 * MOST_SPILL,
             remedy="The screen shines on the subject, or they share a colour: move the subject away from the "
             "screen, light it from behind, or use a screen of another colour.",
-        )  # fmt: skip
-    name, hidden = _worst(made, lambda m: np.nan if m.hidden is None else m.hidden)
-    if not np.isnan(hidden):
-        yield row(
-            f"subject's places without a lasting background ({name})", 100 * hidden, "% of what it covers",
-            warn_above=100 * MOST_HIDDEN,
-            remedy="The subject hides its background for most of the clip, so the clean plate may show it and its "
-            "mattes have holes: let the clips run on over the empty scene, or use a program (capture.mattes: "
-            "{method: command, ...}).",
         )  # fmt: skip
 
 

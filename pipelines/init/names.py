@@ -15,8 +15,8 @@ WORDS: dict[str, tuple[str, ...]] = {  # what crews call things; the first that 
     "camera": ("cam", "gopro", "view", "phone", "left", "right"),
 }
 BY_NAME = {  # what no content tells; role -> why it is not used
-    "white": "a white sheet by its name; to even out a lens, put CAMERA: FILE into capture.white",
-    "chart": "a colour chart by its name; to match colours, put CAMERA: FILE into calibration.colour.chart",
+    "white": "a white sheet by its name",
+    "chart": "a colour chart by its name",
     "matte": "mattes by their name; to use them, name the folder in capture.mattes",
 }
 

@@ -75,17 +75,6 @@ def _flow_method(config: "SceneConfig") -> tuple[str, ...]:
     return () if module is None else (module,)
 
 
-def _matte_program(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
-    """Files among the arguments of the program that makes mattes."""
-    mattes = None if config.capture is None else config.capture.mattes
-    if mattes is None or mattes.command is None:
-        return {}
-    from devrf.capture.mattes.command import MatteCommand
-
-    files = MatteCommand(mattes.command, scene_dir, mattes.timeout_s).files()
-    return {f"file {n} of capture.mattes.command ({path.name})": path for n, path in enumerate(files, 1)}
-
-
 PRINTED_BOARD = tuple(  # how the board looks; its clips are read by ingest alone
     f"capture.board.{key}"
     for key in (
@@ -115,7 +104,6 @@ STAGES = (
             "capture.board.clips",
             "capture.board.joint_clips",
             "capture.raw",
-            "capture.white",
             "calibration.sync.method",
         ),
         applies=_unless(dataset=NO_RAW_FILES),
@@ -180,7 +168,6 @@ STAGES = (
         applies=_unless(),
         run=_glue("scene"),
         rooms=(*CAMERAS, "reconstruct"),
-        inputs=_matte_program,
         refers=True,
         places=_data_set,
     ),

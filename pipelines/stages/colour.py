@@ -7,21 +7,17 @@ import numpy as np
 from jaxtyping import UInt8
 
 from devrf.calibration.colour.camera_points import camera_pairs
-from devrf.calibration.colour.chart import chart_pairs, read_chart
 from devrf.calibration.colour.match import Apart, Matched, match_cameras
-from devrf.calibration.colour.result import CameraColour, Colours, Source
+from devrf.calibration.colour.result import CameraColour, Colours
 from devrf.calibration.colour.surface import Pairs, View
 from devrf.calibration.colour.sweep_points import sweep_pairs
 from devrf.calibration.flicker import steady_gains
 from devrf.calibration.rigs.clean_picture import REST_MOMENTS, rest_frames
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
-from devrf.calibration.vignetting import flat_field
-from devrf.capture.arrays import read_npy
-from devrf.capture.errors import DevrfError
 from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
 from devrf.capture.light import LightCourse
-from devrf.capture.look import as_matrix
+from devrf.capture.look import Look, as_matrix
 from devrf.capture.picture_files import read_pixels
 from devrf.pipelines.clocks import read_sync
 from devrf.pipelines.health.colour import colour_rows
@@ -32,7 +28,7 @@ MOMENTS = 8
 
 
 def run(context: StageContext) -> None:
-    """Write `colour.json`, and where needed `gains_<camera>.npy` and `flat_<camera>.npy`."""
+    """Write `colour.json`, and where needed `gains_<camera>.npy`."""
     job = _Job(context)
     colours = job.colours()
     colours.write()
@@ -44,7 +40,6 @@ class _Job:
 
     def __init__(self, context: StageContext) -> None:
         self.context = context
-        self.settings = context.config.calibration.colour
         self.ingest = context.run_dir / "ingest"
         self.frames = FrameSet.read(self.ingest)
         rig = context.run_dir / "rig" / "rig.json"
@@ -60,36 +55,22 @@ class _Job:
 
     def colours(self) -> Colours:
         """All cameras with what corrects them: those that are trained on together, test cameras against these."""
-        if self.settings.method == "none":
+        if self.context.config.calibration.colour.method == "none":
             return self.base
-        charts = [] if self.settings.method == "points" else self._chart_pairs()
-        by_chart = {pair.second for pair in charts}
-        of_trained = [pair for pair in charts if pair.second not in self.frames.tests]
-        cameras = _with_match(self.base.cameras, match_cameras(of_trained, self.reference), "chart")
-        for name in sorted(self.test_cameras & by_chart):
-            own = [pair for pair in charts if pair.second == name]
-            cameras = _with_match(cameras, match_cameras(own, self.reference), "chart")
-        total = Apart(0, None, None)
-        if self.settings.method != "chart":
-            # what a chart says of a camera is surer than points
-            pairs = self._surface_pairs(self.trained)
-            matched = match_cameras(pairs, self.reference, by_chart - self.test_cameras)
-            cameras, total = _with_match(cameras, matched, "points"), matched.total
-            for name in sorted(self.test_cameras):  # of test pictures nothing is fitted
-                of_test = [*pairs, *self._pairs_of_test(name)]
-                measured = match_cameras(of_test, self.reference, by_chart - self.test_cameras | {name})
-                cameras = _with_match(cameras, measured.only(name), "points")
-        return replace(self.base, reference=self.reference, cameras=cameras, total=total)
+        pairs = self._surface_pairs(self.trained)
+        matched = match_cameras(pairs, self.reference)
+        cameras = _with_match(self.base.cameras, matched)
+        for name in sorted(self.test_cameras):  # of test pictures nothing is fitted
+            measured = match_cameras([*pairs, *self._pairs_of_test(name)], self.reference, {name})
+            cameras = _with_match(cameras, measured.only(name))
+        return replace(self.base, reference=self.reference, cameras=cameras, total=matched.total)
 
     def _before_matching(self) -> Colours:
-        """Fall-off and unsteady light, as ingest measured them."""
+        """Unsteady light, as ingest measured it."""
         out, cameras = self.context.out, {}
         for name in [*([SWEEP] if SWEEP in self.frames.cameras else []), *self.frames.moving]:
             camera = CameraColour("reference" if name == self.reference else "none")
-            white, light = self.ingest / "white" / f"{name}.npy", self.ingest / "light" / f"{name}.npy"
-            if white.is_file():
-                np.save(out / f"flat_{name}.npy", flat_field(read_npy(white), f"white sheet of {name}"))
-                camera = replace(camera, flat=f"flat_{name}.npy")
+            light = self.ingest / "light" / f"{name}.npy"
             if light.is_file() and name not in self.frames.tests:
                 course = LightCourse.read(light)
                 gains = steady_gains(course)
@@ -98,19 +79,6 @@ class _Job:
                     camera = replace(camera, gains=f"gains_{name}.npy")
             cameras[name] = camera
         return Colours(out, None, cameras, Apart(0, None, None))
-
-    def _chart_pairs(self) -> list[Pairs]:
-        """The chart as the reference and the other cameras show it."""
-        files, charts = self.settings.chart, {}
-        for n, (name, file) in enumerate(files.items()):
-            self.context.progress(0.2 * n / len(files), f"chart of {name}")
-            path = self.context.config.path(self.context.scene_dir, file)
-            try:
-                charts[name] = read_chart(path, self.base.before_matching(name, None))
-            except DevrfError as error:
-                raise type(error)(error.code, f"calibration.colour.chart.{name}: {error}") from error
-        own = charts.pop(self.reference, None)  # missing only where there are no charts at all
-        return [] if own is None else [chart_pairs(self.reference, own, n, c) for n, c in charts.items()]
 
     def _pairs_of_test(self, name: str) -> list[Pairs]:
         """Surface points that a test camera and others see."""
@@ -122,10 +90,9 @@ class _Job:
         if self.model is None:
             return camera_pairs(self._moments(names))
         model, pairs = self.model, []
-        sweep = self.base.before_matching(SWEEP, None)
 
         def read(name: str) -> UInt8[np.ndarray, "_ _ 3"]:
-            return sweep.apply(read_pixels(self.ingest / "frames" / name)[..., :3])
+            return np.ascontiguousarray(read_pixels(self.ingest / "frames" / name)[..., :3])
 
         for n, name in enumerate(names):
             self.context.progress(0.2 + 0.8 * n / len(names), f"points of {name}")
@@ -137,13 +104,13 @@ class _Job:
         """The picture that was registered into the sweep, in steady light."""
         folder, used = self.context.run_dir / "rig" / "clean", self.frames.moving[name].used
         path = folder / f"{name}_clip.png"
-        frame = None  # a median of the whole clip has the clip's usual light
+        look = Look()  # a median of the whole clip has the clip's usual light
         for moment in REST_MOMENTS:
             at_rest = folder / f"{name}_{moment}.png"
             if at_rest.is_file():
                 frames = rest_frames(moment, len(used))
-                path, frame = at_rest, used[frames[len(frames) // 2]].index
-        return self.base.before_matching(name, frame).apply(read_pixels(path)[..., :3])
+                path, look = at_rest, self.base.before_matching(name, used[frames[len(frames) // 2]].index)
+        return look.apply(read_pixels(path)[..., :3])
 
     def _moments(self, names: Sequence[str]) -> Iterator[dict[str, View]]:
         """Pictures of these cameras at a few moments that all of them saw."""
@@ -172,19 +139,14 @@ class _Job:
         return View(self.rig.cameras[name].camera, rgb)
 
 
-def _with_match(
-    cameras: dict[str, CameraColour], matched: Matched, source: Source
-) -> dict[str, CameraColour]:
-    """The cameras with what a match has found of them; those that have a chart keep what it says."""
+def _with_match(cameras: dict[str, CameraColour], matched: Matched) -> dict[str, CameraColour]:
+    """The cameras with what a match has found of them."""
     out = dict(cameras)
     for name, apart in matched.apart.items():
         stops, stops_std = matched.brightness.get(name, (None, None))
-        if out[name].source == "chart":
-            out[name] = replace(out[name], stops_by_points=stops)
-            continue
         out[name] = replace(out[name], apart=apart, stops=stops, stops_std=stops_std)
         if name in matched.corrections:
             found, fitted = matched.corrections[name], matched.fitted[name]
             matrix = as_matrix(found.matrix)
-            out[name] = replace(out[name], source=source, kind=found.kind, matrix=matrix, fitted=fitted)
+            out[name] = replace(out[name], source="points", kind=found.kind, matrix=matrix, fitted=fitted)
     return out

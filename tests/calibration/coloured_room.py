@@ -9,7 +9,7 @@ from tests.calibration.conftest import DOWN
 from devrf.calibration.colour.surface import View
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.camera import Camera
-from devrf.capture.srgb import LEVEL_OF_LINEAR, LINEAR_OF_LEVEL
+from devrf.capture.srgb import LEVEL_OF_LINEAR
 from devrf.capture.view_axes import look_at
 
 SIZE = (480, 360)
@@ -20,12 +20,6 @@ WALLS = (  # corners, metres; z points down
     np.array([[0, 0, 0], [0, 3, 0], [0, 3, -3], [0, 0, -3.0]]),
 )
 EQUAL = np.eye(3)
-PATCHES = (
-    (115, 82, 68), (194, 150, 130), (98, 122, 157), (87, 108, 67), (133, 128, 177), (103, 189, 170),
-    (214, 126, 44), (80, 91, 166), (193, 90, 99), (94, 60, 108), (157, 188, 64), (224, 163, 46),
-    (56, 61, 150), (70, 148, 73), (175, 54, 60), (231, 199, 31), (187, 86, 149), (8, 133, 161),
-    (243, 243, 242), (200, 200, 200), (160, 160, 160), (122, 122, 121), (85, 85, 85), (52, 52, 52),
-)  # fmt: skip
 
 
 def camera(angle: float, height: float = -1.5, size: tuple[int, int] = SIZE) -> Camera:
@@ -63,37 +57,6 @@ def developed(light: np.ndarray, noise: float, rng: np.random.Generator) -> np.n
     """Linear light as a camera stores it: sRGB in 8 bits, with noise."""
     levels = LEVEL_OF_LINEAR[(65535 * np.clip(light, 0, 1)).astype(int)]
     return np.clip(levels + 255 * noise * rng.standard_normal(light.shape), 0, 255).round().astype(np.uint8)
-
-
-def show_chart(
-    colours: np.ndarray = EQUAL, noise: float = 0.01, seed: int = 0, light: float = 1.0, turned: bool = False
-) -> np.ndarray:
-    """A chart of 24 patches before a grey wall, seen at an angle, as a camera of some colours shows it [480, 640, 3].
-
-    Args:
-        colours, noise, seed: As for `show`.
-        light: On the chart; at 1 its white patch reflects 0.9.
-        turned: Held upside down.
-    """
-    step, patch = 70, 60
-    chart = np.full((4 * step + 10, 6 * step + 10, 3), LINEAR_OF_LEVEL[20], np.float32)
-    for n, linear in enumerate(patches()):
-        y, x = 10 + step * (n // 6), 10 + step * (n % 6)
-        chart[y : y + patch, x : x + patch] = linear
-    h, w = chart.shape[:2]
-    source = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32)
-    target = np.array([[130, 110], [530, 140], [520, 400], [140, 380]], np.float32)
-    H = cv2.getPerspectiveTransform(source, np.roll(target, -2, axis=0) if turned else target)
-    picture = np.full((480, 640, 3), 0.2, np.float32)
-    inside = cv2.warpPerspective(np.full((h, w), 255, np.uint8), H, (640, 480)) > 127
-    picture[inside] = cv2.warpPerspective(chart, H, (640, 480))[inside]
-    picture = cv2.GaussianBlur(picture, (0, 0), 0.8)
-    return developed(light * picture @ colours.T, noise, np.random.default_rng(seed))
-
-
-def patches() -> np.ndarray:
-    """Linear light of the 24 patches of a ColorChecker Classic (its usual sRGB values), row by row [24, 3]."""
-    return LINEAR_OF_LEVEL[np.array(PATCHES)]
 
 
 def sweep(count: int = 9, points: int = 500, seed: int = 0) -> SweepModel:

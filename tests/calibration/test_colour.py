@@ -1,7 +1,6 @@
-"""Colours of cameras: points that two of them share, the simplest correction, charts; on pictures of known colours."""
+"""Colours of cameras: points that two of them share, the simplest correction; on pictures of known colours."""
 
 import math
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,16 +10,14 @@ from tests.refused import refused
 
 from devrf.calibration.colour import match
 from devrf.calibration.colour.camera_points import camera_pairs
-from devrf.calibration.colour.chart import chart_pairs, read_chart
 from devrf.calibration.colour.fit import brighter_by, difference, fit_correction, folds
 from devrf.calibration.colour.match import Apart, match_cameras
 from devrf.calibration.colour.result import CameraColour, Colours, read_colours
 from devrf.calibration.colour.surface import WHITE_LEVEL, Pairs, View
 from devrf.calibration.colour.sweep_points import sweep_pairs
-from devrf.capture.errors import CalibrationError, CaptureError, InputError
+from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP
 from devrf.capture.look import SAME, Look, as_matrix
-from devrf.capture.picture_files import write_png
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 
 MIXED = np.array([[0.9, 0.06, -0.02], [0.03, 0.8, 0.05], [0.0, -0.04, 1.1]])
@@ -291,67 +288,6 @@ def test_cameras_that_show_other_rooms_share_nothing():
     assert match_cameras([pairs], "cam0").corrections == {}
 
 
-# --- charts ---
-
-
-def charted(tmp_path: Path, name: str = "chart", **shown) -> Path:
-    path = tmp_path / f"{name}.png"
-    write_png(path, room.show_chart(**shown))
-    return path
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_chart_is_read_row_by_row(tmp_path, turned):
-    found = read_chart(charted(tmp_path, turned=turned))
-    assert np.isnan(found[18]).all()  # the white patch is at level 243, and noise takes pixels of it over 250
-    rest = np.arange(24) != 18
-    # the mean of some 500 pixels with noise of 0.01: 0.0005 of full scale; 8-bit rounding of the mean; 4 deviations
-    np.testing.assert_allclose(found[rest], room.patches()[rest], atol=4 * 0.0005 * 2, rtol=0.005)
-
-
-@pytest.mark.parametrize(("kind", "colours"), LOOKS)
-def test_a_chart_brings_a_camera_to_the_reference(tmp_path, kind, colours):
-    own = read_chart(charted(tmp_path, "a"))
-    pairs = chart_pairs(SWEEP, own, "cam0", read_chart(charted(tmp_path, "b", colours=colours, seed=5)))
-    correction = match_cameras([pairs], SWEEP).corrections["cam0"]
-    assert correction.kind == kind
-    # patches to 0.2 % of full scale, the darkest of them, 0.03, to 5 %; their mean over 17 patches
-    assert np.abs(correction.matrix @ colours - np.eye(3)).max() < 0.05 / math.sqrt(17)
-
-
-def test_a_chart_is_read_through_the_flat_field(tmp_path):
-    fall_off = np.linspace(0.5, 1, 16)[None, :] * np.ones((12, 1))
-    np.save(tmp_path / "flat.npy", fall_off)
-    even = room.show_chart(noise=0)
-    light = np.interp((np.arange(640) + 0.5) / 640 * 16 - 0.5, np.arange(16), fall_off[0])
-    dark = LINEAR_OF_LEVEL[even] * light[None, :, None]
-    write_png(tmp_path / "dark.png", room.developed(dark, 0.0, np.random.default_rng(0)))
-    found = read_chart(tmp_path / "dark.png", Look(flat=tmp_path / "flat.npy"))
-    use = np.isfinite(found).all(axis=1)
-    # half a level of the darkest channels (13 of 255) that lose half their light, twice: 8 %; in the mean far less
-    np.testing.assert_allclose(found[use], room.patches()[use], atol=0.004, rtol=0.02)
-
-
-def test_a_picture_without_a_chart_or_with_a_board(tmp_path):
-    write_png(tmp_path / "room.png", room.show(room.camera(0.7)).rgb)
-    with refused("chart-unfound", "room.png", "1 picture", "6 x 4", kind=CalibrationError):
-        read_chart(tmp_path / "room.png")
-    squares = (np.indices((4, 6)).sum(axis=0) % 2 * 200 + 30).astype(np.uint8)
-    board = np.full((480, 640, 3), 128, np.uint8)
-    board[100:380, 110:530] = squares.repeat(70, axis=0).repeat(70, axis=1)[..., None]
-    write_png(tmp_path / "board.png", board)
-    with refused("chart-unfound", kind=CalibrationError):
-        read_chart(tmp_path / "board.png")
-
-
-def test_a_chart_that_is_overexposed_and_a_file_that_is_no_picture(tmp_path):
-    with refused("chart-clipped", "15 of the chart's 24", kind=CalibrationError):
-        read_chart(charted(tmp_path, light=2.5))
-    (tmp_path / "chart.mp4").write_bytes(b"no film")
-    with refused("file-is-text", "chart.mp4", kind=InputError):
-        read_chart(tmp_path / "chart.mp4")
-
-
 # --- on disk ---
 
 
@@ -364,7 +300,6 @@ def test_colours_come_back_from_disk(tmp_path):
         as_matrix(MIXED),
         0.2,
         0.01,
-        0.19,
         300,
         Apart(90, 0.1, 0.02),
         gains="gains_cam0.npy",
@@ -378,7 +313,6 @@ def test_colours_come_back_from_disk(tmp_path):
     assert again.look(SWEEP, 0) is None and again.look("unknown", 0) is None
     assert again.look("cam0", 12) == Look(as_matrix(MIXED), (1.1, 1.0, 1.0))
     assert again.before_matching("cam0", 19) == Look(SAME, (1.2, 1.0, 1.0))
-    assert again.before_matching("cam0", None) == Look()
 
 
 def test_a_damaged_file_says_what_to_do(tmp_path):

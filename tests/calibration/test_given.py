@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 from tests.refused import refused
+from tests.rigs import RIG_LAYOUTS
 
-from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.given import Given, read_given
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig
 from devrf.capture.camera import Camera
@@ -72,7 +72,7 @@ def test_our_own_rig_keeps_its_doubts(tmp_path: Path) -> None:
 def test_names_are_matched(
     theirs: tuple[str, ...], ours: tuple[str, ...], focal: dict[str, float], word: str | None, tmp_path: Path
 ) -> None:
-    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(theirs), True)
+    RIG_LAYOUTS["pose2sim"](tmp_path, cameras(theirs), True)
     given = read(tmp_path / "Calib.toml", ours)
     assert {n: c.camera.K[0, 0] for n, c in rig_of(given).cameras.items()} == focal
     said = [n for n in given.notes if "matched" in n.check]
@@ -88,7 +88,7 @@ def test_names_are_matched(
     ],
 )
 def test_names_that_do_not_match_are_listed(tmp_path: Path, has: tuple, wanted: tuple, named: tuple) -> None:
-    RIG_WRITERS["rig-pose2sim"](tmp_path, cameras(has), True)
+    RIG_LAYOUTS["pose2sim"](tmp_path, cameras(has), True)
     with refused("camera-missing", *named, kind=InputError):
         read(tmp_path / "Calib.toml", wanted)
 
@@ -111,7 +111,7 @@ def test_a_cropped_clip_is_refused(tmp_path: Path) -> None:
 
 def without_size(folder: Path, apart: float = 1.0) -> Path:
     """EasyMocap's files as its older versions wrote them."""
-    RIG_WRITERS["rig-easymocap"](folder, cameras(apart=apart), True)
+    RIG_LAYOUTS["easymocap"](folder, cameras(apart=apart), True)
     lines = (folder / "intri.yml").read_text().splitlines()
     (folder / "intri.yml").write_text("\n".join(line for line in lines if not line.startswith(("H_", "W_"))))
     return folder / "intri.yml"
@@ -157,7 +157,7 @@ def test_a_lens_of_a_rig_under_another_name_is_asked_for(tmp_path: Path) -> None
 
 
 def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
-    RIG_WRITERS["rig-easymocap"](tmp_path, cameras(), True)
+    RIG_LAYOUTS["easymocap"](tmp_path, cameras(), True)
     for name in ("intri.yml", "extri.yml"):
         assert rig_of(read(tmp_path / name)).cameras["cam2"].camera.K[0, 0] == 502
     (tmp_path / "intri.yml").write_bytes(b"\xff\xfe\x00")
@@ -172,7 +172,7 @@ def test_either_file_of_a_pair_names_both(tmp_path: Path) -> None:
 
 
 def test_without_poses_it_gives_intrinsics(tmp_path: Path) -> None:
-    RIG_WRITERS["rig-easymocap"](tmp_path, cameras(), True)
+    RIG_LAYOUTS["easymocap"](tmp_path, cameras(), True)
     (tmp_path / "extri.yml").unlink()
     given = read(tmp_path)
     assert given.rig is None and given.intrinsics["cam1"].K[0, 0] == 501
@@ -214,7 +214,7 @@ def test_a_file_a_camera_in_a_folder_or_by_name(ending: str, tmp_path: Path) -> 
 def test_a_unit_that_the_format_leaves_open(
     apart: float, options: dict[str, Any], metres: float, guessed: bool, tmp_path: Path
 ) -> None:
-    RIG_WRITERS["rig-anipose"](tmp_path, cameras(apart=apart), True)
+    RIG_LAYOUTS["anipose"](tmp_path, cameras(apart=apart), True)
     given = read(tmp_path / "calibration.toml", **options)
     rig = rig_of(given)
     assert rig.scale.metric and rig.scale.factor == 1.0
@@ -223,12 +223,12 @@ def test_a_unit_that_the_format_leaves_open(
     assert [bool(n.remedy) for n in units] == ([True] if guessed else [])
 
 
-@pytest.mark.parametrize("name", ["rig-pose2sim", "rig-kalibr", "rig-easymocap", "rig-caliscope"])
+@pytest.mark.parametrize("name", ["pose2sim", "kalibr", "easymocap", "rig-caliscope"])
 def test_a_unit_that_the_format_says_is_not_guessed(name: str, tmp_path: Path) -> None:
     """Beyond what rigs measure it is doubted: the board may have been described in millimetres."""
     for apart, doubted in ((20.0, False), (1000.0, True)):
-        RIG_WRITERS[name](tmp_path, cameras(apart=apart), True)
-        source = tmp_path if name == "rig-easymocap" else next(tmp_path.iterdir())
+        RIG_LAYOUTS[name](tmp_path, cameras(apart=apart), True)
+        source = tmp_path if name == "easymocap" else next(tmp_path.iterdir())
         given = read(source)
         centres = [c.camera.centre for c in rig_of(given).cameras.values()]
         assert np.linalg.norm(centres[1] - centres[0]) == pytest.approx(apart)
@@ -244,7 +244,7 @@ def test_where_all_lenses_are_fisheyes_aniposelib_may_have_written_it(
     apart: float, metres: float, tmp_path: Path
 ) -> None:
     wide = {name: replace(c, model="OPENCV_FISHEYE") for name, c in cameras(apart=apart).items()}
-    RIG_WRITERS["rig-anipose"](tmp_path, wide, True)
+    RIG_LAYOUTS["anipose"](tmp_path, wide, True)
     given = read(tmp_path / "calibration.toml")
     assert given.format == "aniposelib"
     assert rig_of(given).cameras["cam1"].camera.centre[0] == pytest.approx(metres)
@@ -254,7 +254,7 @@ def test_where_all_lenses_are_fisheyes_aniposelib_may_have_written_it(
 
 
 def test_an_arbitrary_scale_stays_so_or_is_measured(tmp_path: Path) -> None:
-    RIG_WRITERS["rig-colmap"](tmp_path, cameras(), False)
+    RIG_LAYOUTS["rig-colmap"](tmp_path, cameras(), False)
     assert not rig_of(read(tmp_path)).scale.metric
     measured = rig_of(read(tmp_path, known_distance_m=0.25))
     assert measured.scale.metric and measured.cameras["cam2"].camera.centre[0] == pytest.approx(0.5)
@@ -272,7 +272,7 @@ def test_cameras_on_top_of_each_other_are_refused(tmp_path: Path) -> None:
 
 def test_pictures_of_a_camera_that_moved_are_refused(tmp_path: Path) -> None:
     """Two images in one camera's folder: a fixed camera has one pose."""
-    RIG_WRITERS["rig-colmap"](tmp_path, cameras(("0", "1", "2")), False)
+    RIG_LAYOUTS["rig-colmap"](tmp_path, cameras(("0", "1", "2")), False)
     folder = tmp_path / "sparse" / "0"
     model = read_model(folder)
     names = {1: "a/000.png", 2: "a/001.png", 3: "b.png"}

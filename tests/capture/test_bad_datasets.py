@@ -8,10 +8,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.datasets import LAYOUTS, write_set
 from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats import read_dataset, write_dataset
+from devrf.capture.formats import read_dataset
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Scene
 
@@ -26,18 +27,13 @@ class Folders(dict):
 
     def __missing__(self, name: Any) -> Path:
         self[name] = self.root / name
-        write_dataset(name, self.scene, self[name], _no_motion)
+        write_set(name, self.scene, self[name])
         return self[name]
 
 
 @pytest.fixture
 def folders(odd_scene: Scene, tmp_path: Path) -> Folders:
     return Folders(odd_scene, tmp_path / "sets")
-
-
-def _no_motion(frame):
-    shape = (frame.camera.height, frame.camera.width)
-    return np.zeros((*shape, 2), np.float32), np.ones(shape, bool)
 
 
 def last_picture(folder: Path) -> Path:
@@ -136,7 +132,7 @@ def test_a_monocular_set_in_motion_has_no_scene_at_rest(folders):
         read_dataset("blender", folders["blender"])
 
 
-@pytest.mark.parametrize("name", ["devrf", "nerfstudio", "blender", "llff", "colmap"])
+@pytest.mark.parametrize("name", LAYOUTS)
 @pytest.mark.parametrize(
     ("kind", "refusal"),
     [
@@ -163,7 +159,7 @@ def test_pictures(folders, name: Any, kind, refusal):
         read_dataset(name, folders[name])
 
 
-@pytest.mark.parametrize("name", ["devrf", "nerfstudio", "blender", "llff", "colmap"])
+@pytest.mark.parametrize("name", LAYOUTS)
 def test_grey_pictures_are_read_and_said(folders, name: Any):
     victim = last_picture(folders[name])
     cv2.imwrite(str(victim), np.ascontiguousarray(read_pixels(victim)[..., 0]))
@@ -272,7 +268,7 @@ def test_colmap_text_that_is_none(folders):
         read_dataset("colmap", folders["colmap"])
 
 
-@pytest.mark.parametrize("name", ["devrf", "nerfstudio", "blender", "llff", "colmap"])
+@pytest.mark.parametrize("name", LAYOUTS)
 def test_a_folder_of_another_format_and_none(tmp_path: Path, name: Any):
     with refused("folder-missing" if name == "devrf" else "file-missing", tmp_path, kind=CaptureError):
         read_dataset(name, tmp_path)

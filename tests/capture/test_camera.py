@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from devrf.capture.camera import Camera, distort, distort_many, undistort
-from devrf.capture.undistort import common_pinhole
 
 K = np.array([[500.0, 0, 310.5], [0, 480.0, 243.0], [0, 0, 1]])
 LENS = np.array([-0.3, 0.12, 0.002, -0.001, -0.02])
@@ -150,23 +149,3 @@ def test_impossible_cameras_are_refused(change, word):
     good = {"width": 640, "height": 480, "K": K, "cam_from_world": np.eye(4)[:3], "distortion": LENS}
     with pytest.raises(Exception, match=word if word != "shape" else "shape|distortion"):
         Camera(**{**good, **change})
-
-
-@pytest.mark.parametrize("second", [[0.1, 0, 0, 0, 0], [-0.2, 0.05, 0, 0, 0], [0.0, 0, 0, 0, 0]])
-@pytest.mark.parametrize("whole", [False, True])
-def test_a_common_pinhole_is_seen_by_all_cameras_or_holds_all_of_them(second, whole):
-    """Its border lies in every picture, or in none of them."""
-    cameras = [camera(), camera(np.array(second))]
-    common = common_pinhole(cameras, whole)
-    step = np.linspace(0, 1, 200)
-    sides = [(step, 0 * step), (step, 0 * step + 1), (0 * step, step), (0 * step + 1, step)]
-    border = np.concatenate([np.stack(side, -1) for side in sides])
-    ideal = (border * [common.width, common.height] - common.K[:2, 2]) / common.K[0, 0]
-    inside = []
-    for cam in cameras:
-        at = distort(ideal, cam.distortion) * np.diag(cam.K)[:2] + cam.K[:2, 2]
-        inside.append(((at > -1e-3) & (at < np.array([cam.width, cam.height]) + 1e-3)).all(-1))
-    if whole:
-        assert not np.any(np.any(inside, axis=0))
-    else:
-        assert np.all(inside)

@@ -9,7 +9,7 @@ import pytest
 from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset
+from devrf.capture.formats import WRITERS, read_dataset, write_dataset
 from devrf.capture.formats.files import read_json, write_json
 from devrf.capture.formats.scene_files import read_scene, write_scene
 from devrf.capture.picture_files import read_pixels, write_png
@@ -71,7 +71,7 @@ def test_our_scene_keeps_it(matted: Scene, tmp_path: Path) -> None:
     assert entry["mask_path"] == "../../mattes/static_0.png"
 
 
-@pytest.mark.parametrize("name", DATASET_FORMATS)
+@pytest.mark.parametrize("name", WRITERS)
 def test_exports_carry_it_as_alpha(matted: Scene, tmp_path: Path, name) -> None:
     write_dataset(name, matted, tmp_path / "out")
     again = read_dataset(name, tmp_path / "out")
@@ -79,8 +79,7 @@ def test_exports_carry_it_as_alpha(matted: Scene, tmp_path: Path, name) -> None:
     frame, source = again.static[0], matted.static[0]
     opacity = read_opacity(frame, "white")
     assert opacity is not None and 0.1 < (opacity > 127).mean() < 0.6
-    if name in ("nerfstudio", "colmap"):  # pictures as they are
-        np.testing.assert_array_equal(load_image(frame, 1.0, "white"), load_image(source, 1.0, "white"))
+    np.testing.assert_array_equal(load_image(frame, 1.0, "white"), load_image(source, 1.0, "white"))
     write_dataset(name, replace(matted, background="shell"), tmp_path / "room")
     seen = read_opacity(read_dataset(name, tmp_path / "room").static[0], "white")
     assert seen is None or (seen == 255).all()  # where surroundings are seen nothing is cut out

@@ -1,6 +1,5 @@
 """Files of every kind that a user can hand in, whole, each with the way in that reads it."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -14,12 +13,12 @@ import cv2
 import numpy as np
 import yaml
 from PIL import Image
+from tests.datasets import write_set
 from tests.faults.mutations import BINARY, JSON, TEXT, Mutation
+from tests.rigs import RIG_LAYOUTS
 
-from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
-from devrf.capture.formats.datasets import write_dataset
 from devrf.capture.formats.flow_files import write_flow_file
 from devrf.capture.scene import Scene
 from devrf.capture.video_writer import write_video
@@ -194,7 +193,6 @@ def _tables(folder: Path, out: dict[str, Target]) -> None:
 
 
 def _data_sets(folder: Path, odd_scene: Scene, out: dict[str, Target]) -> None:
-    flow = np.zeros((60, 88, 2), np.float32), np.ones((60, 88), bool)
     files = {  # of each format: a file, or the last of a pattern; how it is damaged; what it is called
         "nerfstudio": [
             ("transforms.json", JSON, "transforms.json"), ("images/static/000000.png", BINARY, "picture"),
@@ -209,22 +207,12 @@ def _data_sets(folder: Path, odd_scene: Scene, out: dict[str, Target]) -> None:
     }  # fmt: skip
     for name, found in files.items():
         scene = scene_yaml(folder / name, dataset={"format": name, "path": "set"})
-        write_dataset(name, odd_scene, scene / "set", lambda frame: None)  # pyright: ignore[reportArgumentType]
-        if name == "devrf":
-            _give_flow(scene / "set" / "dynamic_2views", flow)
+        write_set(name, odd_scene, scene / "set")
         for pattern, mutations, title in found:
             file = sorted((scene / "set").glob(pattern))[-1]
             named = (file.name, name, "dataset")
             out[f"{name} {title}"] = Target(file, mutations, scene, ("--until", "scene"), named=named)
     _model_as_text(folder, out)
-
-
-def _give_flow(moving: Path, flow: tuple[np.ndarray, np.ndarray]) -> None:
-    entries = json.loads((moving / "transforms_train.json").read_text())["frames"]
-    for n, entry in enumerate(entries):
-        width, height = entry["w"], entry["h"]
-        sized = np.resize(flow[0], (height, width, 2)), np.resize(flow[1], (height, width))
-        write_flow_file(moving / "train_flow" / f"{n:03d}_bwd.npz", sized)
 
 
 def _model_as_text(folder: Path, out: dict[str, Target]) -> None:
@@ -262,7 +250,7 @@ def _calibrations(folder: Path, data: Path, out: dict[str, Target]) -> None:
         K = np.array([[90.0, 0, SIZE[0] / 2], [0, 90.0, SIZE[1] / 2], [0, 0, 1]])
         cameras[name] = Camera(*SIZE, K, pose, np.array([-0.1, 0.01, 0.0, 0.0, 0.0]))
     clips = {"cam0": "../../clips/made.mp4", "cam1": "../../clips/made.mkv"}
-    for name, write in RIG_WRITERS.items():
+    for name, write in RIG_LAYOUTS.items():
         place = scene_yaml(folder / name)
         (place / "given").mkdir()
         write(place / "given", cameras, True)

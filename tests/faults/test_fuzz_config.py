@@ -49,13 +49,12 @@ BASES: dict[str, dict[str, Any]] = {
                 "dictionary": "DICT_5X5_100", "inverted": "auto", "legacy": True, "clips": {"cam0": "board.mp4"},
             },
             "raw": {"white_balance": [2.0, 1.0, 1.5, 1.0]},
-            "white": {"static": "photo.png"},
         },
         "calibration": {
             "static_poses": {"mapper": "incremental", "time_minutes": 30.0},
             "sync": {"method": "auto", "av_lag_s": {"cam0": 0.01}, "readout_s": {"cam1": 0.01}},
             "rig": {"method": "auto", "known_distance_m": 1.5},
-            "colour": {"method": "auto", "chart": {"static": "photo.png", "cam0": "photo.png"}},
+            "colour": {"method": "auto"},
         },
         "flow": {"method": "dis"},
         "reconstruct": {"image_scale": 0.5, "resolution": 64, "rays": 4096, "seed": 3, "key_times": 5},
@@ -229,7 +228,7 @@ def _at(tree: Any, path: tuple) -> Any:
 
 def _fixed(path: tuple) -> bool:
     """Whether a section's keys are ours, not names of cameras."""
-    return not {"cameras", "test_cameras", "clips", "white", "chart", "av_lag_s", "readout_s"} & set(path)
+    return not {"cameras", "test_cameras", "clips", "av_lag_s", "readout_s"} & set(path)
 
 
 @pytest.fixture(scope="module")

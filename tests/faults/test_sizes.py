@@ -31,7 +31,6 @@ from devrf.capture.formats.files import read_header, read_json
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.formats.llff import read_rows
 from devrf.capture.light import LightCourse
-from devrf.capture.look import Look
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.pictures import probe_picture, read_grey, read_picture
 from devrf.capture.timestamps import read_timestamps
@@ -210,7 +209,6 @@ def test_arrays_of_something_else_than_numbers(values: np.ndarray, tmp_path: Pat
     np.savez(tmp_path / "a.npz", flow=values, mask=values)
     readers = [
         lambda: LightCourse.read(tmp_path / "a.npy"),
-        lambda: Look(flat=tmp_path / "a.npy").apply(np.zeros((4, 4, 3), np.uint8)),
         lambda: read_rows(tmp_path / "a.npy", 20),
         lambda: read_flow_file(tmp_path / "a.npz"),
         lambda: read_npz(tmp_path / "a.npz"),

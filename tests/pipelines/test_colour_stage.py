@@ -1,7 +1,6 @@
-"""Stage `colour` through the command line: fixed cameras and a test camera of known colours, and charts of them."""
+"""Stage `colour` through the command line: fixed cameras and a test camera of known colours."""
 
 import json
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from devrf.capture.look import Look
 from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import load_image
-from devrf.capture.srgb import LINEAR_OF_LEVEL
 from devrf.capture.video_writer import write_video
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.load import load_scene
@@ -53,7 +51,6 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("coloured")
     for n, name in enumerate(STANDS):
         write_video(folder / f"{name}.mp4", _film(name, n), FPS, {"crf": "12"})
-        write_png(folder / f"chart_{name}.png", room.show_chart(LOOKS[name], seed=n))
     cameras = {name: RigCamera(camera, "given") for name, camera in STANDS.items()}
     write_rig(folder / "given.json", Rig(cameras, Scale(True, "given", 1.0, None), "given"))
     content = {
@@ -94,10 +91,6 @@ def again(session: Path, out: Path, *settings: str) -> tuple[Colours, list[Healt
     context = StageContext(config, session.parent, session.parent / "run", out, no_progress, "cpu")
     colour.run(context)
     return read_colours(out), context.health
-
-
-def charts(*names: str) -> str:
-    return "chart={" + ", ".join(f"{name}: chart_{name}.png" for name in names) + "}"
 
 
 def miss(colours: Colours, name: str) -> float:
@@ -174,101 +167,28 @@ def test_nothing_is_matched_where_that_is_switched_off(matched: Path, session: P
     assert ["calibration.colour.method: none" in str(row.value) for row in rows] == [True]
 
 
-# --- by a chart ---
-
-
-@pytest.mark.full
-def test_a_chart_of_every_camera(matched: Path, session: Path, tmp_path: Path) -> None:
-    colours, rows = again(session, tmp_path / "colour", "method=chart", charts(*LOOKS))
-    assert {name: c.source for name, c in colours.cameras.items()} == dict.fromkeys(LOOKS, "chart") | {
-        "cam0": "reference"
-    }
-    for name in ("cam1", "cam2", "witness"):  # a test camera too: its moving pictures have no part in it
-        # patches to 0.2 % of full scale, the darkest of them, 0.03, to 5 %; their mean over 17 patches
-        assert miss(colours, name) < 0.05 / np.sqrt(17)
-    assert [row.verdict for row in rows] == ["ok", "ok", "ok"]
-    assert colours.look("witness", 3) == Look(colours.cameras["witness"].matrix)
-
-
-@pytest.mark.full
-def test_a_chart_goes_before_points(matched: Path, session: Path, tmp_path: Path) -> None:
-    colours, _ = again(session, tmp_path / "colour", charts("cam0", "cam1"))
-    assert {n: c.source for n, c in colours.cameras.items()} == {
-        "cam0": "reference",
-        "cam1": "chart",
-        "cam2": "points",
-        "witness": "none",
-    }
-
-
-@pytest.mark.full
-def test_a_chart_filmed_in_other_light_is_named(matched: Path, session: Path, tmp_path: Path) -> None:
-    """Both charts in the scene's light agree with its surface points; one with two thirds of the light does not."""
-    _, rows = again(session, tmp_path / "agrees", charts("cam0", "cam1"))
-    agrees = next(row for row in rows if "by its chart against that by surface points" in row.check)
-    assert agrees.verdict == "ok"
-    write_png(session.parent / "chart_dim.png", room.show_chart(2 / 3 * LOOKS["cam1"], seed=1))
-    _, rows = again(session, tmp_path / "dim", charts("cam0", "cam1").replace("chart_cam1", "chart_dim"))
-    dim = next(row for row in rows if "by its chart against that by surface points" in row.check)
-    assert dim.verdict == "warn"
-    assert isinstance(dim.value, float) and isinstance(agrees.value, float)
-    # 2/3 of the light are log2(3/2) stops; both use the same points and the same patches
-    assert abs(dim.value - np.log2(1.5)) < agrees.value + 0.03
-
-
-@pytest.mark.full
-def test_a_picture_without_a_chart_stops_the_run(devrf: Command, matched: Path, session: Path) -> None:
-    write_png(session.parent / "wall.png", room.show(STANDS["cam1"]).rgb)
-    chart = "calibration.colour.chart={cam0: chart_cam0.png, cam1: wall.png}"
-    result = devrf("run", session, "--until", "colour", "--set", chart)
-    assert result.code == 1
-    assert re.search("calibration.colour.chart.cam1: .*wall.png: .* 1 picture", result.said)
-    assert "Traceback" not in result.said
-
-
-@pytest.mark.parametrize(
-    ("settings", "expected"),
-    [
-        (["method=chart"], "calibration.colour.chart: "),
-        (
-            ["chart={cam0: chart_cam0.png, cam11: chart_cam1.png}"],
-            r"calibration.colour.chart.cam11: .* cam1\?",
-        ),
-        ([charts("cam1")], "calibration.colour.chart.cam0: "),
-        ([charts("cam0", "cam1").replace("cam1.png", "gone.png")], "'chart_gone.png': "),
-        (["method=guess"], "calibration.colour.method: 'guess'; "),
-    ],
-)
-def test_settings_that_cannot_be(session: Path, settings: list[str], expected: str) -> None:
+@pytest.mark.parametrize(("method", "said"), [("chart", "surface points"), ("guess", "'guess'; ")])
+def test_methods_that_are_none(session: Path, method: str, said: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        load_scene(session, [f"calibration.colour.{setting}" for setting in settings])
-    assert any(re.search(expected, mistake) for mistake in caught.value.mistakes), caught.value.mistakes
+        load_scene(session, [f"calibration.colour.method={method}"])
+    (mistake,) = caught.value.mistakes
+    assert "calibration.colour.method: " in mistake and said in mistake
 
 
 # --- against a sweep ---
 
 
-def fall_off(width: int, height: int) -> np.ndarray:
-    """Relative light of the sweep's camera [height, width, 1]: 1 - 0.4 r², r = 1 in the corners."""
-    y, x = np.mgrid[:height, :width] + 0.5
-    r2 = ((x - width / 2) ** 2 + (y - height / 2) ** 2) / ((width / 2) ** 2 + (height / 2) ** 2)
-    return (1 - 0.4 * r2)[..., None]
-
-
 @pytest.fixture
 def swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., StageContext]:
-    """What earlier stages leave of a sweep, whose lens darkens corners, and of fixed cameras beside it."""
+    """What earlier stages leave of a sweep, and of fixed cameras beside it."""
     model = room.sweep()
     monkeypatch.setattr(colour, "read_static_poses", lambda folder: model)
     ingest, clean = tmp_path / "ingest", tmp_path / "rig" / "clean"
-    for folder in (ingest / "white", ingest / "frames" / "static", clean, tmp_path / "static_poses"):
+    for folder in (ingest / "frames" / "static", clean, tmp_path / "static_poses"):
         folder.mkdir(parents=True)
     (tmp_path / "static_poses" / "static_poses.json").write_text("{}")
-    dark = fall_off(*room.SIZE)
     for n, (name, camera) in enumerate(zip(model.names, model.cameras, strict=True)):
-        light = LINEAR_OF_LEVEL[room.show(camera, noise=0.0).rgb] * dark
-        write_png(ingest / "frames" / name, room.developed(light, 0.01, np.random.default_rng(n)))
-    np.save(ingest / "white" / "static.npy", 0.6 * fall_off(64, 48) * np.ones(3))
+        write_png(ingest / "frames" / name, room.show(camera, seed=n).rgb)
 
     def with_cameras(*names: str) -> StageContext:
         def frames(role: Any) -> CameraFrames:
@@ -312,20 +232,6 @@ def test_cameras_are_brought_to_the_look_of_the_sweep(swept: Callable[..., Stage
         assert std is not None and miss(colours, name) < 4 * std * np.log(2)
     assert [row.verdict for row in context.health] == ["ok", "ok", "warn"]
     assert "cam1 0.62 EV darker than the sweep" in context.health[0].check
-
-
-def test_a_lens_that_darkens_corners_is_evened_out(swept: Callable[..., StageContext]) -> None:
-    """The sweep alone: nothing to compare with, but its white sheet counts."""
-    context = swept()
-    colour.run(context)
-    colours = read_colours(context.out)
-    look = colours.look(SWEEP, 0)
-    assert look is not None and look == Look(flat=context.out / "flat_static.npy")
-    assert [(row.verdict, "the sweep" in str(row.value)) for row in context.health] == [("ok", True)]
-    grey = room.developed(0.4 * fall_off(*room.SIZE) * np.ones(3), 0.0, np.random.default_rng(0))
-    # half a level of rounding before, which 1 / 0.6 more light makes 0.6, and after; 1 - 0.4 r² is all but straight
-    # within a cell of the map
-    assert np.ptp(look.apply(grey).astype(int)) <= 2 < np.ptp(grey.astype(int))
 
 
 # --- rows ---

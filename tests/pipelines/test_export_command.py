@@ -9,15 +9,17 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from tests.datasets import LAYOUTS, write_set
 from tests.refused import refused
 
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.rig import Rig, read_rig
-from devrf.capture.formats import DATASET_FORMATS, read_dataset, write_dataset, write_scene
+from devrf.capture.formats import WRITERS, read_dataset, write_dataset, write_scene
 from devrf.capture.formats.export import MARKER, README
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Scene
+from devrf.pipelines.config.gone import GONE_VALUES
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.command import export
 
@@ -38,35 +40,32 @@ def written(folder: Path, name: str, path: Path, run: str) -> Path:
 
 def test_export_and_run_from_it(devrf: Callable, scene_yaml: Path, odd_scene: Scene) -> None:
     folder = scene_yaml.parent
-    early = devrf("export", scene_yaml, "--format", "devrf")
+    early = devrf("export", scene_yaml, "--format", "nerfstudio")
     assert early.code == 2 and "--until scene" in early.err and "[stage-not-made]" in early.err
     assert devrf("run", scene_yaml, "--until", "flow", "--allow-unhealthy").code == 0
-    for name in DATASET_FORMATS:
+    for name in WRITERS:
         result = devrf("export", scene_yaml, "--format", name)
         assert result.code == 0, result.said
         assert str(folder / "run/export" / name) in result.out
-    out = folder / "run/export/devrf"
-    assert all(
-        f.flow is not None for f in read_dataset("devrf", out).dynamic if f.split == "train" and f.index
-    )
-    again = devrf("run", written(folder, "devrf", out, "again"), "--until", "flow", "--allow-unhealthy")
+    out = folder / "run/export/nerfstudio"
+    again = devrf("run", written(folder, "nerfstudio", out, "again"), "--until", "flow", "--allow-unhealthy")
     assert again.code == 0, again.said
-    assert json.loads((folder / "again/flow/flow.json").read_text())["method"] == "given"
     twice = devrf("export", scene_yaml, "--format", "colmap", "--out", out)
     assert twice.code == 2 and f"--out {out}: " in twice.err and "[folder-exists]" in twice.err
-    strided = devrf(
-        "run",
-        folder / "again.yaml",
-        "--until",
-        "flow",
-        "--allow-unhealthy",
-        "--set",
-        "dataset.frame_stride=2",
+
+
+def test_flow_that_a_data_set_brings(devrf: Callable, odd_scene: Scene, tmp_path: Path) -> None:
+    write_set("devrf", odd_scene, tmp_path / "data")
+    scene, until = (
+        written(tmp_path, "devrf", tmp_path / "data", "run"),
+        ("--until", "flow", "--allow-unhealthy"),
     )
-    assert strided.code == 0, strided.said
-    rows = json.loads((folder / "again/scene/health.json").read_text())["rows"]
-    assert any("dataset.frame_stride is 2" in str(row["value"]) for row in rows)
-    assert json.loads((folder / "again/flow/flow.json").read_text())["method"] == "dis"
+    for stride, method in ((1, "given"), (2, "dis")):
+        result = devrf("run", scene, *until, "--set", f"dataset.frame_stride={stride}")
+        assert result.code == 0, result.said
+        assert json.loads((tmp_path / "run/flow/flow.json").read_text())["method"] == method
+        rows = json.loads((tmp_path / "run/scene/health.json").read_text())["rows"]
+        assert any("dataset.frame_stride is 2" in str(row["value"]) for row in rows) == (stride == 2)
 
 
 def test_a_data_set_has_the_times_that_were_trained_with(odd_scene: Scene, tmp_path: Path) -> None:
@@ -107,6 +106,14 @@ def test_an_unknown_format(devrf: Callable, scene_yaml: Path) -> None:
     assert result.code == 2 and "nerfstudio?" in result.err and "[option-unknown-value]" in result.err
 
 
+@pytest.mark.parametrize("name", ["blender", "devrf", "llff", "mesh", "npz", "rig-anipose", "zarr"])
+def test_a_format_that_is_gone(devrf: Callable, scene_yaml: Path, name: str) -> None:
+    result = devrf("export", scene_yaml, "--format", name)
+    assert result.code == 2 and f"--format {name}: {GONE_VALUES[f'--format {name}']}" in " ".join(
+        result.err.split()
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "file", "text", "refusal"),
     [
@@ -121,7 +128,7 @@ def test_an_unknown_format(devrf: Callable, scene_yaml: Path) -> None:
 def test_a_damaged_data_set_is_seen_before_anything_starts(
     devrf: Callable, odd_scene: Scene, tmp_path: Path, name, file: str, text: str, refusal: str
 ) -> None:
-    write_dataset(name, odd_scene, tmp_path / "data", _flow_of_nothing)
+    write_set(name, odd_scene, tmp_path / "data")
     (tmp_path / "data" / file).write_text(text)
     result = devrf("run", written(tmp_path, name, tmp_path / "data", "run"))
     assert result.code == 2, result.said
@@ -150,8 +157,8 @@ def test_a_picture_that_ends_early_is_seen_before_anything_starts(
 def test_a_data_set_without_scene_yaml_says_who_writes_one(
     devrf: Callable, odd_scene: Scene, tmp_path: Path
 ) -> None:
-    for name in ("nerfstudio", "devrf", "llff", "blender", "colmap"):
-        write_dataset(name, odd_scene, tmp_path / name, _flow_of_nothing)
+    for name in LAYOUTS:
+        write_set(name, odd_scene, tmp_path / name)
         result = devrf("status", tmp_path / name)
         assert result.code == 2 and f"devrf-pipeline init {tmp_path / name}" in result.err
     nowhere = tmp_path / "nowhere" / "scene.yaml"
@@ -159,15 +166,8 @@ def test_a_data_set_without_scene_yaml_says_who_writes_one(
     assert f"{nowhere}: " in said and "[configuration]" in said
 
 
-def _flow_of_nothing(frame):
-    import numpy as np
-
-    shape = (frame.camera.height, frame.camera.width)
-    return np.zeros((*shape, 2), np.float32), np.ones(shape, bool)
-
-
 def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:
-    """Webcams calibrated by caliscope: named in scene.yaml, used, and written for aniposelib."""
+    """Webcams calibrated by caliscope: named in scene.yaml, used, and written for others."""
     source = data_dir / "caliscope_post_optimization"
     clips = {f"cam{n}": str(source / f"calibration/extrinsic/cam_{n}.mp4") for n in range(4)}
     value = {
@@ -179,14 +179,14 @@ def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, 
     }
     scene = tmp_path / "scene.yaml"
     scene.write_text(yaml.safe_dump(value))
-    early = devrf("export", scene, "--format", "rig-anipose")
+    early = devrf("export", scene, "--format", "rig-opencv")
     assert early.code == 2 and "--until rig" in early.err and "[stage-not-made]" in early.err
     result = devrf("run", scene, "--until", "rig", "--verbose")
     assert result.code == 0, result.said
     assert "caliscope" in result.said and "cam0: 0" in result.said
-    assert devrf("export", scene, "--format", "rig-anipose").code == 0
+    assert devrf("export", scene, "--format", "rig-opencv").code == 0
     rig = read_rig(tmp_path / "run/rig/rig.json")
-    for name in set(RIG_WRITERS) - {"rig-kalibr"}:  # it has no k3, and these lenses have
+    for name in RIG_WRITERS:
         folder = export(Talk("quiet"), tmp_path / "run", name, None)
         files = [path for path in folder.iterdir() if path.name not in (MARKER, README)]
         found = files[0] if len(files) == 1 and files[0].is_file() else folder
@@ -194,10 +194,9 @@ def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, 
         assert given.rig is not None, name
         for again, camera in zip(from_first(given.rig), from_first(rig), strict=True):
             np.testing.assert_allclose(again, camera, atol=1e-9, err_msg=name)
-    wrong = devrf("export", scene, "--format", "rig-anipos")
-    assert wrong.code == 2 and "rig-anipose?" in wrong.err and "[option-unknown-value]" in wrong.err
-    text = (tmp_path / "run/export/rig-anipose/README.txt").read_text()
-    assert "metres" in text and "p1 and p2" in text
+    wrong = devrf("export", scene, "--format", "rig-openc")
+    assert wrong.code == 2 and "rig-opencv?" in wrong.err and "[option-unknown-value]" in wrong.err
+    assert "metres" in (tmp_path / "run/export/rig-opencv/README.txt").read_text()
 
 
 def from_first(rig: Rig) -> list[np.ndarray]:

@@ -31,7 +31,7 @@ from devrf.reconstruct.tracking.rigid import motion_of
 
 UNIT = 1 / 1.25  # of the world in the box frame, as odd_scene has it
 R = RADIUS * UNIT
-MODEL = ("ply", "mesh", "glb", "zarr", "npz")
+MODEL = ("ply", "glb")
 
 
 @pytest.fixture
@@ -77,20 +77,6 @@ def test_point_clouds_open_in_plyfile_and_trimesh(run_dir: Path) -> None:
     assert "Axes: " in readme and " metres" in readme
     up = np.mean([-f for f in np.array([[0.05, 1.0, 0.0]])], axis=0)  # how odd_scene's cameras are held
     assert np.dot(facts["up"], up) / np.linalg.norm(up) > 0.99
-
-
-def test_meshes_open_in_trimesh(run_dir: Path) -> None:
-    pytest.importorskip("skimage")
-    trimesh = pytest.importorskip("trimesh")
-    folder, facts = exported(run_dir, "mesh", times="2s,5s")
-    for entry in facts["files"]:
-        for file in entry["files"]:
-            mesh = trimesh.load(folder / file, process=False)
-            assert mesh.is_watertight and len(mesh.vertices) == entry["vertices"]
-            assert mesh.volume == pytest.approx(4 / 3 * np.pi * R**3, rel=0.08)
-            np.testing.assert_allclose(mesh.center_mass, centre_at(entry["time_s"]), atol=0.01)
-            colours = np.asarray(mesh.visual.vertex_colors)[:, :3].mean(0) / 255
-            np.testing.assert_allclose(colours, COLOUR, atol=0.05)
 
 
 def test_one_animated_mesh(run_dir: Path) -> None:
@@ -202,47 +188,11 @@ def test_a_glb_is_as_the_specification_has_it(run_dir: Path) -> None:
     assert weights["count"] == keys["count"] * len(primitive["targets"]) and keys["min"] == [0.0]
 
 
-@pytest.mark.parametrize("name", ["zarr", "npz"])
-def test_voxel_grids(run_dir: Path, name: str) -> None:
-    if name == "zarr":
-        pytest.importorskip("zarr")
-    folder, facts = exported(run_dir, name, times="3")
-    if name == "zarr":
-        import zarr
-
-        group: Any = zarr.open_group(str(folder / "scene.zarr"), mode="r")
-        said = dict(group.attrs)
-        density, rgb, backward = (group[p] for p in ("moving/density", "moving/rgb", "motion/backward"))
-        density, rgb, backward, rest = density[2], rgb[2], backward[:], group["rest/density"][:]
-    else:
-        with np.load(folder / "moving_0002.npz") as file:
-            said, density, rgb = json.loads(str(file["attributes"])), file["density"], file["rgb"]
-        backward = np.load(folder / "motion.npz")["backward"]
-        rest = np.load(folder / "rest.npz")["density"]
-    assert said == facts["volumes"] and said["moving_times_s"] == [2.0, 3.5, 5.0]
-    assert said["world_units_per_box_unit"] == pytest.approx(UNIT) and said["density_unit"] == "1 / metre"
-    model = moving_ball()
-    assert model.motion is not None
-    np.testing.assert_allclose(backward, model.motion.backward, atol=2e-3)
-    for grid, time_s in ((rest, 2.0), (density, 5.0)):
-        index = np.argwhere(grid * model.rest.canonical.voxel * UNIT > np.log(2))  # half absorbed by a voxel
-        lo, hi = np.array(said["box_min"]), np.array(said["box_max"])
-        world = np.array(said["world_from_box"])
-        place = lo + index / (np.array(grid.shape) - 1) * (hi - lo)
-        away = place @ world[:3, :3].T + world[:3, 3] - centre_at(time_s)
-        assert np.linalg.norm(away, axis=1).max() < 1.05 * R
-        assert len(index) * (model.rest.canonical.voxel * UNIT) ** 3 == pytest.approx(
-            4 / 3 * np.pi * R**3, rel=0.1
-        )
-    np.testing.assert_allclose(rgb[density > 1].mean(0) / 255, COLOUR, atol=0.02)
-    assert (rgb[density == 0] == 0).all()
-
-
 def test_a_scene_in_which_nothing_moves(odd_scene: Scene, run_dir: Path) -> None:
     pytest.importorskip("skimage")
     for path in (run_dir / "deformation").iterdir():
         path.unlink()
-    _, facts = exported(run_dir, "mesh")
+    _, facts = exported(run_dir, "ply")
     assert [entry["time_s"] for entry in facts["files"]] == [None]
     assert len(facts["notes"]) == 1 and "motion" in facts["notes"][0]
     shutil.rmtree(run_dir / "scene" / "dynamic")
@@ -259,9 +209,9 @@ def test_a_scene_in_which_nothing_moves(odd_scene: Scene, run_dir: Path) -> None
         ("ply", {"times": "9s"}, "option-out-of-range", ("--times 9s", "0 to 1", "2.000s to 5.000s")),
         ("ply", {"times": "soon"}, "option-malformed", ("--times soon",)),
         ("ply", {"times": "0"}, "option-out-of-range", ("--times 0: ", " 1 to ")),
-        ("ply", {"level": 0.5}, "option-misplaced", ("--level: ", "--format ply", "mesh, glb")),
+        ("ply", {"level": 0.5}, "option-misplaced", ("--level: ", "--format ply", "glb")),
         ("nerfstudio", {"times": "3"}, "option-misplaced", ("--times: ", "--format nerfstudio")),
-        ("mesh", {"level": 1.5}, "option-out-of-range", ("--level 1.5: ", "0 and 1")),
+        ("glb", {"level": 1.5}, "option-out-of-range", ("--level 1.5: ", "0 and 1")),
         ("glb", {"device": "tpu"}, "option-unknown-value", ("--device tpu: ", "cuda")),
     ],
 )
@@ -274,11 +224,9 @@ def test_what_is_wrong_is_said_before_anything_is_written(
 
 
 def test_an_extra_that_is_missing(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("skimage", "zarr"):
-        monkeypatch.setitem(sys.modules, module, None)
-    for name, module in (("mesh", "skimage"), ("glb", "skimage"), ("zarr", "zarr")):
-        with refused("package-missing", f" {module},", "pip install 'devrf[export]'", kind=InputError):
-            exported(run_dir, name)
+    monkeypatch.setitem(sys.modules, "skimage", None)
+    with refused("package-missing", " skimage,", "pip install 'devrf[export]'", kind=InputError):
+        exported(run_dir, "glb")
     exported(run_dir, "ply", times="1")  # needs nothing
 
 
@@ -299,7 +247,7 @@ def test_nothing_solid_and_nothing_left(run_dir: Path) -> None:
     model.rest.canonical.density.clamp_(max=-5.0 - model.rest.canonical.shift)
     save_rest(run_dir / "canonical" / FILE, model.rest)
     with refused("model-without-surface", "0.5", kind=ReconstructError):
-        exported(run_dir, "mesh", times="1")
+        exported(run_dir, "glb", times="1")
     with refused("model-without-surface", "2.0000 s", kind=ReconstructError):
         exported(run_dir, "ply", times="1")
     assert list((run_dir / "export").iterdir()) == []
@@ -313,19 +261,19 @@ def test_folders_in_use(run_dir: Path, tmp_path: Path) -> None:
     (folder / "stray.txt").unlink()
     exported(run_dir, "ply", times="1")
     with refused("folder-exists", f"--out {folder}: ", " ply", kind=InputError):
-        export(Talk("quiet"), run_dir, "npz", folder)
+        export(Talk("quiet"), run_dir, "splat", folder)
     (tmp_path / "file").write_text("")
     with refused("folder-unwritable", tmp_path / "file", kind=InputError):
-        export(Talk("quiet"), run_dir, "npz", tmp_path / "file" / "out")
+        export(Talk("quiet"), run_dir, "splat", tmp_path / "file" / "out")
 
 
 def test_the_command(devrf: Callable, run_dir: Path) -> None:
     scene = run_dir.parent / "scene.yaml"
     data = {"format": "nerfstudio", "path": "data"}
     scene.write_text(yaml.safe_dump({"name": "ball", "output": "run", "preset": "tiny", "dataset": data}))
-    result = devrf("export", scene, "--format", "npz", "--times", "2", "--device", "cpu")
+    result = devrf("export", scene, "--format", "ply", "--times", "2", "--device", "cpu")
     assert result.code == 0, result.said
-    assert "voxel grids (npz)" in result.out
+    assert "point clouds (ply)" in result.out
 
 
 def test_help_names_every_format() -> None:

@@ -93,10 +93,10 @@ def test_a_stale_run_is_told(devrf: Callable, tmp_path: Path) -> None:
     said = " stale, "
     assert devrf("export", scene, "--format", "nerfstudio").code == 0
     assert said in " ".join((tmp_path / "run/export/nerfstudio/README.txt").read_text().split())
-    result = devrf("export", scene, "--format", "npz", "--times", "1")
+    result = devrf("export", scene, "--format", "ply", "--times", "1")
     assert result.code == 0 and said in result.said
-    assert said in " ".join((tmp_path / "run/export/npz/README.txt").read_text().split())
-    assert said in json.loads((tmp_path / "run/export/npz/export.json").read_text())["notes"][0]
+    assert said in " ".join((tmp_path / "run/export/ply/README.txt").read_text().split())
+    assert said in json.loads((tmp_path / "run/export/ply/export.json").read_text())["notes"][0]
     result = devrf("report", scene)
     assert result.code == 0 and said in result.said
     assert "Stale: scene, canonical, deformation." in (tmp_path / "run/report/index.html").read_text()

@@ -123,15 +123,13 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
         ("{static: static.mp4, range_s: [3, 1]}", "capture.range_s: [3.0, 1.0]; "),
         ("{static: static.mp4, range_s: [3]}", "capture.range_s: [3]; "),
         ("{static: static.mp4, mattes: matts}", "capture.mattes.folder: 'matts': "),
-        (
-            "{static: static.mp4, mattes: {method: command, command: [a], timeout_s: 0}}",
-            "capture.mattes.timeout_s: 0; ",
-        ),
-        ("{static: static.mp4, mattes: background}", "capture.mattes: background "),
+        ("{static: static.mp4, mattes: background}", "capture.mattes.method: … FOLDER"),
+        ("{static: static.mp4, mattes: {method: command}}", "capture.mattes.method: … FOLDER"),
+        ("{static: static.mp4, mattes: {method: chroma, timeout_s: 9}}", "capture.mattes.timeout_s: … FOLDER"),
+        ("{static: static.mp4, mattes: {method: chroma, command: [a]}}", "capture.mattes.command: … FOLDER"),
         ("{static: static.mp4, mattes: {method: keying}}", "capture.mattes.method: 'keying'; "),
         ("{static: static.mp4, mattes: {method: given}}", "capture.mattes: folder "),
-        ("{static: static.mp4, mattes: {method: command}}", "capture.mattes: command … method: command"),
-        ("{static: static.mp4, mattes: {method: chroma, command: [a]}}", "capture.mattes: command … chroma"),
+        ("{static: static.mp4, mattes: {method: chroma, inverted: true}}", "capture.mattes: inverted … chroma"),
         ("{static: static.mp4, mattes: {method: chroma, colour: green}}", "capture.mattes.colour: 'green'; "),
         ("{static: static.mp4, mattes: {method: chroma, color: auto}}", "capture.mattes.color: … colour?"),
         ("{static: static.mp4, mattes: 3}", "capture.mattes: 3; … method"),
@@ -155,7 +153,6 @@ def test_one_mistake(folder: Path, line: str, expected: str) -> None:
         (JOINT, "capture.board.clips.static: "),
         (JOINT.replace("clips: {static: cam1.mp4}, ", "").replace("{a:", "{b: cam1.mp4, a:", 1),
          "capture.board.joint_clips: … b"),
-        ("{static: static.mp4, cameras: {cam0: cam0.mp4}, white: {cam1: cam1.mp4}}", "capture.white.cam1: "),
         ("{static: static.mp4, raw: {white_balance: [2, 1, 0, 1]}}", "capture.raw.white_balance: [2, 1, 0, 1]; "),
         ("{static: static.mp4, raw: {white_balance: camera}}", "capture.raw.white_balance: 'camera'; … 'auto'"),
         ("{}", "capture: … static"),
@@ -171,7 +168,8 @@ def test_one_mistake_in_capture(folder: Path, capture: str, expected: str) -> No
 @pytest.mark.parametrize("key", GONE)
 def test_keys_that_are_gone_are_named_so(folder: Path, key: str) -> None:
     """As one mistake; a name in the table is no key."""
-    (found,) = mistakes(folder, GOOD, (f"{key}=1",))
+    needed = ("capture.mattes.method=chroma",) if key.startswith("capture.mattes.") else ()
+    (found,) = mistakes(folder, GOOD, (*needed, f"{key}=1"))
     assert found.startswith(f"--set {key}: ") and found.endswith(GONE[key])
 
 

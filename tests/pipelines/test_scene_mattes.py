@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -143,21 +142,10 @@ def session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
     return Session(tmp_path, monkeypatch)
 
 
-def program() -> dict[str, object]:
-    code = (
-        "import sys; from PIL import Image; "
-        "Image.open(sys.argv[1]).getchannel(0).point(lambda v: 255 * (v > 110)).save(sys.argv[2])"
-    )
-    return {"method": "command", "command": [sys.executable, "-c", code, "{image}", "{matte}"]}
-
-
-@pytest.mark.parametrize(
-    "method", ["given", *(pytest.param(made, marks=pytest.mark.full) for made in ("chroma", "command"))]
-)
+@pytest.mark.parametrize("method", ["given", pytest.param("chroma", marks=pytest.mark.full)])
 def test_mattes_of_every_picture_make_the_background_plain(session: Session, method: str) -> None:
     session.write_mattes("mattes", "static", "cam0")
-    mattes = {"given": "mattes", "chroma": "chroma", "command": program()}[method]
-    scene, rows, out = session.scene(mattes)
+    scene, rows, out = session.scene("mattes" if method == "given" else "chroma")
     assert scene.background == "white"
     assert all(row.verdict == "ok" for name, row in rows.items() if name != "what moves"), rows
     if method == "chroma":  # found to the levels that the pictures vary by
@@ -182,17 +170,14 @@ def test_mattes_of_every_picture_make_the_background_plain(session: Session, met
     assert np.linalg.norm(scene.points.xyz - BALL, axis=1).max() < RADIUS
 
 
-@pytest.mark.parametrize("method", ["given", "background"])
-def test_mattes_of_the_moving_cameras_leave_the_surroundings(session: Session, method: str) -> None:
+def test_mattes_of_the_moving_cameras_leave_the_surroundings(session: Session) -> None:
     session.write_mattes("mattes", "cam0")
-    scene, rows, _ = session.scene("mattes" if method == "given" else "background")
+    scene, rows, _ = session.scene("mattes")
     assert scene.background == "shell"
     assert "mattes" in rows
     assert all(f.matte is None for f in scene.static) and all(f.matte is not None for f in scene.dynamic)
     for frame in (scene.static[0], scene.dynamic[0]):
         np.testing.assert_array_equal(load_image(frame, 1.0, "shell"), read_pixels(frame.path))
-    if method == "background":  # the ball hides its own background all the time
-        assert rows["subject's places without a lasting background (cam0)"].verdict in ("ok", "warn")
 
 
 def test_without_mattes_nothing_changes(session: Session) -> None:
@@ -378,25 +363,3 @@ def test_the_report_shows_them(session: Session, tmp_path: Path) -> None:
         assert frame.matte is not None
         frame.matte.unlink()  # a run folder that was tidied up by hand
     assert shown(scene) == [("cam0", [False] * 3)]
-
-
-def test_a_man_who_stays_in_his_chair_has_no_clean_plate(data_dir: Path, tmp_path: Path) -> None:
-    """A real clip: he hides what is behind him from the first picture to the last."""
-    import av
-
-    from devrf.capture.mattes.make import Clip, background_mattes
-    from devrf.pipelines.health.matte import matte_health
-    from devrf.pipelines.scene_mattes import SceneMattes
-
-    clip = data_dir / "caliscope_post_optimization" / "calibration" / "extrinsic" / "cam_3.mp4"
-    files = []
-    with av.open(str(clip)) as container:
-        for n, picture in enumerate(container.decode(video=0)):
-            if n % 5 == 0:
-                files.append(tmp_path / f"{n:06d}.png")
-                write_png(files[-1], picture.reformat(width=320, height=180, format="rgb24").to_ndarray())
-    names = {n: None for n in range(len(files))}
-    made = background_mattes(Clip("cam_3", tuple(files), names, ((160, 90),) * len(files)), tmp_path / "out")
-    rows = {r.check: r for r in matte_health(SceneMattes((), (), {"cam_3": made}, {}, False), "background")}
-    row = rows["subject's places without a lasting background (cam_3)"]
-    assert row.verdict == "warn" and "method: command" in row.remedy

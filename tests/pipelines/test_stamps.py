@@ -263,10 +263,10 @@ def test_a_stamp_with_names_that_no_system_takes(folder: Path, name: str) -> Non
 
 def test_reasons_say_what_happened(folder: Path) -> None:
     """A file that is newly given or gone has not changed; what was empty or not set is said in words."""
-    stages = (stage("first", (), ("flow.weights", "calibration.colour.chart", "reconstruct.resolution")),)
+    stages = (stage("first", (), ("flow.weights", "capture.test_cameras", "reconstruct.resolution")),)
     for name in ("a", "b"):
         (folder / f"{name}.pth").write_text(name)
-    chart = "calibration.colour.chart={cam0: cam0.mp4, static: static.mp4}"
+    tests = "capture.test_cameras={witness: static.mp4}"
     raft = "flow.method=raft"
 
     def why(*overrides: str) -> str:
@@ -279,11 +279,8 @@ def test_reasons_say_what_happened(folder: Path) -> None:
     assert why(raft, "flow.weights=a.pth") == "flow.weights: newly given"
     assert why(raft, "flow.weights=b.pth") == "flow.weights: content changed"
     assert why() == "flow.weights: no longer given"
-    assert why(chart) == "; ".join(
-        f"calibration.colour.chart{text}"
-        for text in (": no longer empty", ".cam0: newly given", ".static: newly given")
-    )
-    assert why().startswith("calibration.colour.chart: now empty")
+    assert why(tests) == "capture.test_cameras: no longer empty; capture.test_cameras.witness: newly given"
+    assert why().startswith("capture.test_cameras: now empty")
     assert why("reconstruct.resolution=40") == "reconstruct.resolution: was not set, is now 40"
     assert why() == "reconstruct.resolution: was 40, is no longer set"
 

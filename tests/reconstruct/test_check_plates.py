@@ -137,7 +137,7 @@ def test_a_clock_that_is_late_is_told_from_a_camera_that_was_touched(tmp_path: P
 def test_other_light_is_told_as_such(tmp_path: Path, gains: tuple[float, float, float]) -> None:
     """Two cameras that saw the rest in other light: each has a row of its own, so one is enough here."""
     fit, rows = told(filmed(tmp_path / "clip", lambda p, n: p * gains))
-    assert rows["clean"].verdict == "warn" and "calibration.colour.chart" in rows["clean"].remedy
+    assert rows["clean"].verdict == "warn" and "curtains" in rows["clean"].remedy
     assert fit.by_light > MOSTLY and fit.by_place < MOST_OF_PLATE
 
 
@@ -150,7 +150,7 @@ def test_two_cameras_in_other_light_are_both_named(tmp_path: Path) -> None:
     of_camera = {name: next(row for row in rows if row.check.endswith(f"rest ({name})")) for name in gains}
     assert [row.verdict for row in of_camera.values()] == ["warn", "warn", "ok"]
     for name in ("cam0", "cam1"):
-        assert name in of_camera[name].remedy and "calibration.colour.chart" in of_camera[name].remedy
+        assert name in of_camera[name].remedy and "curtains" in of_camera[name].remedy
     assert min(plates["cam0"].by_light, plates["cam1"].by_light) > MOSTLY > plates["cam2"].by_light
 
 
