@@ -44,9 +44,9 @@ import sys
 from pathlib import Path
 import numpy as np
 from devrf.capture.formats.scene_files import read_scene
-from devrf.pipelines.trained_model import load_renderer
+from devrf.pipelines.trained_model import load_trained, renderer
 run, out = Path(sys.argv[1]), Path(sys.argv[2])
-scene, render = read_scene(run / "scene").in_box_frame(), load_renderer(run, "cpu")
+scene, render = read_scene(run / "scene").in_box_frame(), renderer(load_trained(run, "cpu"))
 first = {f.camera_name: f for f in sorted(scene.dynamic, key=lambda f: -f.time) if f.split == "test"}
 found = {name: render(f.camera.scaled(scene.image_scale), None) for name, f in first.items()}
 for f in scene.static:

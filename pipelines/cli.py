@@ -14,6 +14,7 @@ from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines import run_command
 from devrf.pipelines.bench.cli import bench
 from devrf.pipelines.cli_options import (
+    Command,
     DeviceOption,
     PresetOption,
     QuietOption,
@@ -198,7 +199,7 @@ def status(
 
 
 for results_command in (report, compare, view, render, export):
-    app.command()(results_command)
+    app.command(cls=Command)(results_command)
 
 
 @app.command()
