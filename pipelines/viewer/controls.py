@@ -9,7 +9,8 @@ from devrf.pipelines.viewer.furniture import GROUPS
 from devrf.pipelines.viewer.source import Loaded
 from devrf.reconstruct.model import DynamicModel
 
-EVERYTHING, BOX, STANDS, PART = "everything", "what is in the box", "what stands", "part"
+EVERYTHING: str = "everything"
+BOX, STANDS, PART = "what is in the box", "what stands", "part"
 BEHIND = "white"  # what is in the box, where it is shown alone
 STEP_S = 0.001  # of the time slider
 

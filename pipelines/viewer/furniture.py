@@ -7,32 +7,31 @@ import viser
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats.colmap_poses import quat_wxyz
-from devrf.capture.scene import PosedFrame
-from devrf.pipelines.viewer.source import Loaded
+from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.pictures import spread
 
 GROUPS = {"cameras": True, "sweep": False, "points": False}  # shown where a picture can be seen; else all are
 FRUSTUM_FIXED, FRUSTUM_SWEEP = 0.07, 0.03  # of the distance from which cameras look at the box
 MOST_OF_SWEEP = 60  # frusta; more of them hide each other
 FIXED, TEST, SWEEP, HELD_OUT = (234, 120, 30), (22, 160, 96), (70, 120, 220), (150, 90, 200)  # colours
+GREY = (150, 150, 150)
+MOST_POINTS = 8000
 POINT = 0.003  # size over the distance from which cameras look at the box
 LINE_PX = 1.5
 
 
 def furnish(
-    space: viser.SceneApi, loaded: Loaded, go_to: Callable[[Camera], None]
+    space: viser.SceneApi, scene: Scene, go_to: Callable[[Camera], None]
 ) -> dict[str, viser.FrameHandle]:
     """Put things in space, in the place of those before.
 
     Args:
         space: The scene of all visitors.
-        loaded: What is shown; with a scene.
+        scene: In the box frame.
         go_to: Called with a camera that was clicked.
     Returns:
         What shows and hides each of `GROUPS`.
     """
-    scene = loaded.scene
-    assert scene is not None
     space.reset()
     groups = {name: space.add_frame(f"/{name}", show_axes=False, visible=False) for name in GROUPS}
     centres = np.array([f.camera.centre for f in scene.frames])
@@ -53,9 +52,7 @@ def furnish(
     for n, (name, frame) in enumerate({f.camera_name: f for f in scene.dynamic}.items()):
         frustum(f"/cameras/{n}", frame, FRUSTUM_FIXED, TEST if frame.split == "test" else FIXED)
         space.add_label(f"/cameras/{n}/name", name, position=(0.0, -0.06 * radius, 0.0))
-    if len(loaded.points):
-        space.add_point_cloud(
-            "/points/all", loaded.points, loaded.colours, point_size=POINT * radius, precision="float32",
-            point_shape="circle",
-        )  # fmt: skip
+    if scene.points is not None:
+        xyz = scene.points.xyz[spread(range(len(scene.points.xyz)), MOST_POINTS)].astype(np.float32)
+        space.add_point_cloud("/points/all", xyz, GREY, point_size=POINT * radius, point_shape="circle")
     return groups

@@ -241,7 +241,7 @@ class Site:
                 scene = self.loaded.scene
                 self._controls.renew(self.loaded)
                 if scene is not None and self.loaded.found.scene != before.found.scene:
-                    self._groups = furnish(self.server.scene, self.loaded, self.look_through)
+                    self._groups = furnish(self.server.scene, scene, self.look_through)
                 if before.scene is None:
                     self._go_home()
                 self._want()

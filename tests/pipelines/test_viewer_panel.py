@@ -48,6 +48,6 @@ def test_what_is_in_the_box_alone_is_before_white() -> None:
     ("share", "columns"), [(1.0, [0, 1, 2, 3, 4, 5]), (0.66, [1, 2, 3, 4]), (0.01, [2, 3])]
 )
 def test_a_narrower_page_sees_the_middle(share: float, columns: list[int]) -> None:
-    """As even as the picture is: the middle stays the middle."""
+    """What is cut off is as wide on both sides."""
     picture = np.tile(np.arange(6)[None, :, None], (2, 1, 3))
     assert middle(picture, share)[0, :, 0].tolist() == columns
