@@ -49,8 +49,8 @@ class Controls:
         self._slider.visible = self._play.visible = scene is not None and bool(scene.dynamic)
         if scene is not None and scene.dynamic:
             first, last = round(scene.t0_s, 3), round(max(scene.t1_s, scene.t0_s + STEP_S), 3)
-            self._slider.min, self._slider.max = first, last
-            self._slider.value = min(max(self._slider.value, first), last)
+            if (self._slider.min, self._slider.max) != (first, last):
+                self._slider.min, self._slider.max, self._slider.value = first, last, first
         self._at_rest.visible = model is not None and model.motion is not None
         offered = (EVERYTHING, *((BOX,) if model is not None and model.rest.shell is not None else ()))
         if model is not None and model.movers is not None:

@@ -10,7 +10,8 @@ from devrf.capture.formats.colmap_poses import quat_wxyz
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.pictures import spread
 
-GROUPS = {"cameras": True, "sweep": False, "points": False}  # shown where a picture can be seen; else all are
+# whether shown where a picture can be seen; else all are. The first view is often a test camera's
+GROUPS = {"cameras": True, "test cameras": False, "sweep": False, "points": False}
 FRUSTUM_FIXED, FRUSTUM_SWEEP = 0.07, 0.03  # of the distance from which cameras look at the box
 MOST_OF_SWEEP = 60  # frusta; more of them hide each other
 FIXED, TEST, SWEEP, HELD_OUT = (234, 120, 30), (22, 160, 96), (70, 120, 220), (150, 90, 200)  # colours
@@ -50,8 +51,9 @@ def furnish(
     for n, frame in enumerate(spread(scene.static, MOST_OF_SWEEP)):
         frustum(f"/sweep/{n}", frame, FRUSTUM_SWEEP, HELD_OUT if frame.split == "test" else SWEEP)
     for n, (name, frame) in enumerate({f.camera_name: f for f in scene.dynamic}.items()):
-        frustum(f"/cameras/{n}", frame, FRUSTUM_FIXED, TEST if frame.split == "test" else FIXED)
-        space.add_label(f"/cameras/{n}/name", name, position=(0.0, -0.06 * radius, 0.0))
+        group, colour = ("test cameras", TEST) if frame.split == "test" else ("cameras", FIXED)
+        frustum(f"/{group}/{n}", frame, FRUSTUM_FIXED, colour)
+        space.add_label(f"/{group}/{n}/name", name, position=(0.0, -0.06 * radius, 0.0))
     if scene.points is not None:
         xyz = scene.points.xyz[spread(range(len(scene.points.xyz)), MOST_POINTS)].astype(np.float32)
         space.add_point_cloud("/points/all", xyz, GREY, point_size=POINT * radius, point_shape="circle")

@@ -107,7 +107,7 @@ def visited(
     run.motion(rest)
     reads("finished model")
     out = Visited(page, site, load_model(run.run_dir), texts)
-    page.get_by_role("checkbox", name="cameras").click()
+    page.get_by_role("checkbox", name="cameras", exact=True).click()
     yield out
     page.close()
     site.close()

@@ -113,12 +113,12 @@ def test_what_is_not_well_is_said(run: ViewerRun, ball: Ball, rest: RestModel) -
     said = told(run, loaded)
     assert "not finished" in said and "deformation, evaluate" in said and "ball &lt;b&gt;" in said
     assert "healthy" not in said
-    run.health("scene", "warn", "rays <i> that miss")
-    assert "doubtful" in told(run, loaded) and "rays &lt;i&gt; that miss" in told(run, loaded)
-    run.health("canonical", "fail", "PSNR")
+    run.health("scene", "warn", "rays that miss")
+    assert "doubtful" in told(run, loaded) and "warnings: 1 in 1 checks" in told(run, loaded)
+    run.health("canonical", "fail", "PSNR <i>")
     said = told(run, loaded)
     assert "unhealthy" in said and "refused the result: 1" in said and "Film it again." in said
-    assert said.index("<b>canonical</b>") < said.index("<b>scene</b>")
+    assert "<b>canonical</b>: PSNR &lt;i&gt;" in said and "rays that miss" not in said
     (run.run_dir / ".failed-deformation.json").write_text('{"message": "no room", "code": 1}')
     assert "deformation failed" in told(run, loaded) and "no room" in told(run, loaded)
 
