@@ -18,10 +18,8 @@ from devrf.capture.camera import Camera
 from devrf.capture.picture_files import to_8_bits
 from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.device import resolve_device
-from devrf.pipelines.viewer.site import CHUNK_CPU, TRY_SCALE, settle
+from devrf.pipelines.viewer.site import CHUNK_CPU, QUALITY_MOVING, first_camera, hiding_depth
 from devrf.pipelines.viewer.source import Loaded, load, look
-from devrf.pipelines.viewer.view import first_camera
-from devrf.pipelines.viewer.visit import QUALITY_MOVING, hiding_depth
 from devrf.reconstruct.film.paths import orbit
 from devrf.reconstruct.film.span import film_cameras, film_lens
 from devrf.reconstruct.model import render_layers
@@ -36,7 +34,8 @@ def main() -> None:
     """Print the rows and write them."""
     chosen = arguments(__doc__, "run", device="auto")
     device = resolve_device(chosen.device)
-    settle(device)
+    if device == "cpu":
+        torch.set_num_threads(1)  # as the viewer does
     begin = time.perf_counter()
     loaded = load(chosen.run, look(chosen.run), device, Loaded())
     if loaded.model is None or loaded.scene is None:
@@ -64,7 +63,7 @@ def _measured(loaded: Loaded, device: str) -> list[Row]:
             torch.cuda.synchronize()
 
     first = first_camera(scene)
-    send(first.scaled(TRY_SCALE), 0.5)
+    send(first.scaled(0.1), 0.5)
     begin = time.perf_counter()
     send(first.scaled(at_most(first.width, first.height, FIRST)[0] / first.width), 0.0)
     rows = [Row("viewer/first picture", time.perf_counter() - begin, "s").at_most(FIRST_S)]

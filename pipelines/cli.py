@@ -14,6 +14,7 @@ from devrf.capture.writable import check_file, check_folder
 from devrf.pipelines import run_command
 from devrf.pipelines.cli_installed import add_installed
 from devrf.pipelines.cli_options import (
+    Command,
     DeviceOption,
     PresetOption,
     QuietOption,
@@ -24,7 +25,6 @@ from devrf.pipelines.cli_options import (
     talk_of,
 )
 from devrf.pipelines.cli_results import compare, export, render, report, view
-from devrf.pipelines.config.gone import gone_option
 from devrf.pipelines.console import Talk
 from devrf.pipelines.disk_told import disk_told, refused_by_system
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
@@ -46,7 +46,7 @@ app = typer.Typer(
 STAGE_HELP = f"one of {', '.join(stage_names())}"
 
 
-@app.command()
+@app.command(cls=Command)
 def init(
     folder: Annotated[Path, typer.Argument(help="Folder with the raw files")],
     name: Annotated[str | None, typer.Option(help="Name of the scene; default: the folder's")] = None,
@@ -61,7 +61,7 @@ def init(
         init_command.init(talk, folder, name, force)
 
 
-@app.command()
+@app.command(cls=Command)
 def check(
     scene: SceneArgument,
     preset: PresetOption = None,
@@ -87,7 +87,7 @@ def check(
     raise typer.Exit(DONE if go else UNHEALTHY)
 
 
-@app.command()
+@app.command(cls=Command)
 def run(
     scene: SceneArgument,
     preset: PresetOption = None,
@@ -118,7 +118,7 @@ def run(
         run_command.carry_out(job)
 
 
-@app.command()
+@app.command(cls=Command)
 def demo(
     folder: Annotated[Path, typer.Argument(help="Folder for the example and its run")] = Path("devrf-demo"),
     until: Annotated[str | None, typer.Option(help="Stop after this stage")] = None,
@@ -138,7 +138,7 @@ def demo(
     run_command.carry_out(job)
 
 
-@app.command()
+@app.command(cls=Command)
 def batch(
     scenes: Annotated[list[Path], typer.Argument(help="scene.yaml files, or the folders that hold them")],
     engine: Annotated[
@@ -174,7 +174,7 @@ def batch(
     raise typer.Exit(code)
 
 
-@app.command()
+@app.command(cls=Command)
 def status(
     scene: SceneArgument,
     preset: PresetOption = None,
@@ -194,7 +194,7 @@ def status(
 
 
 for results_command in (report, compare, view, render, export):
-    app.command()(results_command)
+    app.command(cls=Command)(results_command)
 
 
 def _version(show: bool) -> bool:
@@ -225,9 +225,6 @@ def main() -> None:
 
 
 def _command() -> None:
-    if (gone := gone_option(sys.argv[1:])) is not None:
-        Talk().error(gone, "option-gone")
-        sys.exit(BAD_INPUT)
     try:
         app()
     except KeyboardInterrupt:

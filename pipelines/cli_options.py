@@ -3,11 +3,13 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
-from devrf.capture.errors import DevrfError
+from devrf.capture.errors import DevrfError, InputError
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.console import Loudness, Talk
 from devrf.pipelines.exit_codes import code_of
 
@@ -37,6 +39,18 @@ def configured(
     path = scene / "scene.yaml" if scene.is_dir() else scene
     config = load_scene(path, overrides or (), preset=preset, check_files=check_files)
     return config, path.resolve().parent
+
+
+class Command(TyperCommand):
+    """A command that knows the options which earlier versions had."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the command line apart; an option that is gone ends the program with exit code 2."""
+        with errors_told(Talk()):
+            for option in (word.partition("=")[0] for word in args):
+                if (gone := GONE.get(f"{self.name} {option}")) is not None:
+                    raise InputError("option-gone", f"{option}: is no longer an option: {gone}")
+        return super().parse_args(ctx, args)
 
 
 def talk_of(quiet: bool, verbose: bool = False) -> Talk:

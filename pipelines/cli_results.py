@@ -1,6 +1,8 @@
 """The commands that look at what a run has made, and take it elsewhere: report, compare, view, render, export."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -125,41 +127,25 @@ def render(
     path: Annotated[
         str | None,
         typer.Option(
-            help="orbit, spiral, dolly, vertigo, between, between:CAMERA,CAMERA, still:CAMERA, or a JSON file of key "
-            "frames (nerfstudio's camera_path.json). Default: orbit"
+            help="orbit, spiral, still:CAMERA, or a JSON file (nerfstudio's camera_path.json). Default: orbit"
         ),
-    ] = None,
-    seconds: Annotated[float | None, typer.Option(help="Length of the film; default: as time runs")] = None,
-    fps: Annotated[float | None, typer.Option(help="Pictures a second; default: 24")] = None,
-    speed: Annotated[
-        float | None, typer.Option(help="Seconds of the clip in a second of the film; 0.25 is slow motion")
-    ] = None,
-    slow: Annotated[
-        str | None,
-        typer.Option(help="Only between these two times at --speed (default 0.25): 0.4,0.6 or 1.0s,1.5s"),
     ] = None,
     time: Annotated[
         str | None, typer.Option(help="Time stands still at this one: 0 to 1 of the clip, or seconds: 1.2s")
     ] = None,
-    begin: Annotated[str | None, typer.Option("--from", help="First time that is shown")] = None,
-    end: Annotated[str | None, typer.Option("--to", help="Last time that is shown")] = None,
-    ping_pong: Annotated[bool, typer.Option("--ping-pong", help="Time runs there and back")] = False,
+    seconds: Annotated[
+        float | None,
+        typer.Option(help="Length of the film, which shows all of the clip; default: the clip's"),
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Pictures a second; default: 24")] = None,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT; default: by the preset")] = None,
-    layers: Annotated[
-        str | None, typer.Option(help="Some of colour,depth,flow,confidence. Default: colour")
-    ] = None,
-    beside: Annotated[
-        str | None, typer.Option(help="Put the true pictures of this camera on the left")
-    ] = None,
+    layers: Annotated[str | None, typer.Option(help="colour, depth or colour,depth. Default: colour")] = None,
     without: Annotated[
         str | None, typer.Option(help="Leave out parts that move, by their numbers in the report: 2 or 1,3")
     ] = None,
     film_format: Annotated[
         str | None,
-        typer.Option(
-            "--format",
-            help="mp4 (H.264, default), png (pictures; depth in 16 bits), or webp (animated picture)",
-        ),
+        typer.Option("--format", help="mp4 (H.264, default) or png (pictures; depth in 16 bits)"),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write; default: films/NAME in the run, by the options")
@@ -170,40 +156,17 @@ def render(
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Film the reconstruction: without options the run's own film anew, else a film of its own (docs/film.md).
-
-    A film that was stopped is gone on with; one that is made already is left as it is.
-    """
+    """Film the reconstruction: without options the run's own film anew, else a film of its own (docs/film.md)."""
     talk = talk_of(quiet, verbose)
     from devrf.pipelines.film import command
-    from devrf.pipelines.film.asked import Asked
+    from devrf.pipelines.film.plan import Asked
 
-    asked = Asked(
-        path,
-        seconds,
-        fps,
-        speed,
-        slow,
-        time,
-        begin,
-        end,
-        ping_pong,
-        size,
-        layers,
-        beside,
-        without,
-        film_format,
-        out,
-    )
+    asked = Asked(path, time, seconds, fps, size, layers, without, film_format, out)
     if asked.nothing:
         run_command.only("render", scene, preset, overrides, talk, device)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
-    with errors_told(talk):
-        try:
-            command.film(talk, job, asked, device)
-        except command.Stopped as stop:
-            talk.error(str(stop), "stopped")
-            raise typer.Exit(STOPPED) from None
+    with errors_told(talk), _stopped_told(talk, "film"):
+        command.film(talk, job, asked, device)
 
 
 def export(
@@ -244,18 +207,23 @@ def export(
 
     with errors_told(talk):
         options = export_command.Options(times=times, level=level, splats=splats, device=device)
-        try:
-            with stopped_by_signals():
-                export_command.export(
-                    talk, job.run_dir, dataset_format, out, options, job.config.name,
-                    lambda until: run_command.said_of_stale(run_command.stale(job, until)),
-                )  # fmt: skip
-        except KeyboardInterrupt:
-            what = (
-                "stopped; nothing is left of this export, an earlier one stands; the same command begins anew"
-            )
-            talk.error(what, "stopped")
-            raise typer.Exit(STOPPED) from None
+        with _stopped_told(talk, "export"):
+            export_command.export(
+                talk, job.run_dir, dataset_format, out, options, job.config.name,
+                lambda until: run_command.said_of_stale(run_command.stale(job, until)),
+            )  # fmt: skip
+
+
+@contextmanager
+def _stopped_told(talk: Talk, what: str) -> Iterator[None]:
+    """Ctrl-C or SIGTERM, in words."""
+    try:
+        with stopped_by_signals():
+            yield
+    except KeyboardInterrupt:
+        text = f"stopped; nothing is left of this {what}, an earlier one stands; the same command begins anew"
+        talk.error(text, "stopped")
+        raise typer.Exit(STOPPED) from None
 
 
 def _report_beside(talk: Talk, job: Run, scene: Path, page: Path) -> None:

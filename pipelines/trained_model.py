@@ -32,8 +32,3 @@ def renderer(model: "DynamicModel") -> Render:
         return render_view(model, camera, time)
 
     return render
-
-
-def load_renderer(run_dir: Path, device: str) -> Render:
-    """Both."""
-    return renderer(load_trained(run_dir, device))

@@ -25,7 +25,7 @@ from pydantic import (
 
 from devrf.capture.rest import Rest
 from devrf.flow.methods import mistake
-from devrf.pipelines.config.gone import GONE_VALUES
+from devrf.pipelines.config.gone import GONE
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
@@ -160,7 +160,7 @@ def _mattes(value: Any) -> Any:
     """A word is a method that needs no more, or a folder."""
     if not isinstance(value, str):
         return value
-    is_method = value == "chroma" or f"capture.mattes.method: {value}" in GONE_VALUES
+    is_method = value == "chroma" or f"capture.mattes.method: {value}" in GONE
     return {"method": value} if is_method else {"method": "given", "folder": value}
 
 

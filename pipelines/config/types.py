@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from devrf.pipelines.config.gone import GONE, GONE_VALUES
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.config.words import Say, suggestion
 
@@ -62,7 +62,7 @@ def _message(item: Any, location: tuple, data: dict) -> tuple[str, str]:
         keys = _keys(location[:-1])
         near = suggestion(str(location[-1]), keys) or f"; expected one of {', '.join(keys)}"
         return "", f"unknown key{near}"
-    if kind == "literal_error" and (gone := GONE_VALUES.get(f"{dotted}: {item['input']}")) is not None:
+    if kind == "literal_error" and (gone := GONE.get(f"{dotted}: {item['input']}")) is not None:
         return f"{item['input']!r} ", f"is no longer known: {gone}"
     if kind == "missing" and not _has(data, location):
         return "", "is missing"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from devrf.capture.errors import InputError
 from devrf.capture.formats.export import check_target
-from devrf.pipelines.config.gone import GONE_VALUES
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.formats import FORMATS
@@ -45,7 +45,7 @@ def export(
     """
     if name not in FORMATS:
         expected = f"expected {', '.join(FORMATS)}{suggestion(name, FORMATS)}"
-        text = f"--format {name}: {GONE_VALUES.get(f'--format {name}', expected)}"
+        text = f"--format {name}: {GONE.get(f'--format {name}', expected)}"
         raise InputError("option-unknown-value", text)
     chosen, options = FORMATS[name], options or Options()
     if out is None:

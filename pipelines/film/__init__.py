@@ -1,1 +1,1 @@
-"""`devrf-pipeline render` with options: films of a finished run, of other paths, speeds and layers."""
+"""`devrf-pipeline render` with options: films of a finished run, of other paths, lengths and layers."""

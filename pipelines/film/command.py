@@ -1,6 +1,7 @@
 """`devrf-pipeline render` with options: check everything, make the film, say where it is and what to expect of it."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,45 +10,39 @@ import numpy as np
 
 from devrf.capture.amounts import size_text
 from devrf.capture.durable import write_json
-from devrf.capture.errors import CaptureError, DevrfError, InputError
+from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.formats.export import check_target, new_folder
+from devrf.capture.formats.opengl import opengl_pose
+from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
-from devrf.capture.writable import check_folder
 from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.disk_told import disk_told
-from devrf.pipelines.film.about import FILM, READS, film_json, made_from_of, read_made_from
-from devrf.pipelines.film.asked import Asked
-from devrf.pipelines.film.plan import Film, planned
+from devrf.pipelines.film.plan import Asked, Plan, planned
 from devrf.pipelines.run_command import said_of_stale, stale
 from devrf.pipelines.runner.failure import is_no_memory
-from devrf.pipelines.runner.lock import Lock
 from devrf.pipelines.runner.own_folder import check_run_folder
 from devrf.pipelines.runner.plan import read_health
 from devrf.pipelines.runner.run import Run
-from devrf.pipelines.runner.signals import stopped_by_signals
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.render import SIZES
 from devrf.pipelines.stamps.stamp import STAMP
-from devrf.pipelines.trained_scene import trained_scene
-from devrf.pipelines.unknown_clocks import unknown_clock_notes, unknown_clocks
 
-if TYPE_CHECKING:  # it needs torch
+if TYPE_CHECKING:  # they need torch
+    from devrf.reconstruct.film.layers import DepthScale
     from devrf.reconstruct.model import DynamicModel
 
+READS = ("scene", "canonical", "deformation")  # the stages whose results are filmed
+KIND = "film"  # of folders that may be replaced
 BASE_BYTES = 900_000_000  # the process while it unpacks a model: the example's
 # That a picture's pixel takes while it is rendered; measured: 136 before white, surroundings more.
 PIXEL_BYTES = 230
-LAYER_BYTES = 100  # and for each other layer; measured: 61 for depth and flow together
-GOES_ON = "what was made is kept, and the same command goes on from there"
-
-
-class Stopped(Exception):
-    """The user ended it."""
+DEPTH_BYTES = 100  # and for depth
 
 
 def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
-    """Make a film of a run and say where it is.
+    """Make a film of a run and say where it is; what is stopped leaves nothing, and an earlier film as it was.
 
     Args:
         talk: Where to speak.
@@ -57,70 +52,78 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     Raises:
         InputError: An option that cannot be, a run without a model, a folder in use.
         DevrfError: It cannot be written, or not enough memory is left.
-        Stopped: By Ctrl-C or SIGTERM.
     """
     asked.check()
-    folder = _folder(job, asked)
+    if asked.out is None:
+        check_run_folder(job.run_dir, ())
+    folder = job.run_dir / "films" / asked.name if asked.out is None else asked.out.expanduser().resolve()
+    check_target(folder, KIND)
     _check_made(job)
-    world = trained_scene(job.run_dir)
+    world = read_scene(job.run_dir / "scene")
     moves = (job.run_dir / "deformation" / STAMP).is_file()
     plan = planned(asked, world, moves, SIZES[job.config.preset][2])
-    _check_memory(job, plan)
+    layers = asked.layer_names()
+    _check_memory(job, plan, layers)
     job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
-    beside = {frame.camera_name for frame in plan.beside}
-    notes = _state(job) + unknown_clock_notes(unknown_clocks(job.run_dir), beside)
+    notes = _state(job)
     for line in notes:
         talk.say(f"  note: {line}", style="yellow")
-    made_from = made_from_of(job.run_dir, plan)
-    if read_made_from(folder / FILM) == made_from:
-        talk.say(f"  film: {folder} is made of the same model with the same options; nothing to do")
-        return folder
-    with stopped_by_signals(), _told(folder):
-        _make(talk, job, plan, world, folder, made_from, notes)
+    with _told(folder):
+        made_in_s = _make(talk, job, asked, plan, world, folder, notes)
+    count = len(plan.cameras)
+    shown = f"{count / made_in_s:.3g} pictures a second"
+    talk.say(f"  {count} pictures, {count / plan.fps:.3g} s, in {duration(made_in_s)} ({shown})")
+    for layer in layers:
+        talk.say(f"  film: {folder / layer}{'' if asked.format == 'png' else '.mp4'}")
     return folder
 
 
 def _make(
-    talk: Talk, job: Run, plan: Film, world: Scene, folder: Path, made_from: str, notes: list[str]
-) -> None:
-    from devrf.pipelines.film.draw import Drawer
-    from devrf.pipelines.film.kept import Kept
-    from devrf.pipelines.film.make import finish, make
+    talk: Talk, job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]
+) -> float:
+    """Write the film and `film.json`; seconds that it took."""
     from devrf.pipelines.trained_model import load_trained
     from devrf.reconstruct.film.layers import DepthScale
+    from devrf.reconstruct.film.make import Film, make_film
 
-    model = _showing(load_trained(job.run_dir, job.device), plan.without)
-    for line in (left := _leaving(plan, model)):
-        talk.say(f"  note: {line}", style="yellow")
+    model = _showing(load_trained(job.run_dir, job.device), asked.left_out())
     world_per_box = 1 / float(np.cbrt(np.linalg.det(world.box_from_world[:3, :3])))
     depth = DepthScale.of(plan.cameras, world.aabb, model.rest.near, world_per_box, world.metric)
-    kept = Kept.beside(folder)
-    kept.folder.mkdir(parents=True, exist_ok=True)
-    lock = Lock(kept.folder, talk.say)
-    lock.take()
-    try:
-        if kept.begin(made_from):
-            talk.say("  an unfinished film of the same name, of another model or other options, is gone")
-        there = kept.count(plan.layers[0])
-        if there:
-            talk.say(f"  going on: {there} of {plan.count} pictures are there")
-        confidence = _confidence(talk, world, model) if "confidence" in plan.layers else None
-        drawer = Drawer(plan, model, confidence, depth)
-        try:
-            with talk.progress(f"film {folder.name}") as progress:
-                made = make(drawer, kept, progress)
-        except KeyboardInterrupt:
-            there = kept.count(plan.layers[0])
-            raise Stopped(f"stopped; {there} of {plan.count} pictures: {GOES_ON}") from None
-        write_json(kept.folder / FILM, film_json(plan, world, drawer, made, made_from, notes + left))
-    finally:
-        lock.release()
-    finish(drawer, kept, folder)
-    shown = f"{made.rendered / made.seconds:.3g} pictures a second" if made.rendered else "all pictures kept"
-    talk.say(f"  {plan.count} pictures, {plan.count / plan.fps:.3g} s, in {duration(made.seconds)} ({shown})")
-    for path in sorted(folder.iterdir()):
-        if path.is_dir() or path.name != FILM:
-            talk.say(f"  film: {path}")
+    names = {layer: layer for layer in asked.layer_names()}
+    film = Film(plan.cameras, plan.times, plan.fps, names, asked.format or "mp4", depth)
+    with new_folder(folder, KIND) as new, talk.progress(f"film {folder.name}") as progress:
+        begin = time.perf_counter()
+        make_film(film, model, new, progress)
+        made_in_s = time.perf_counter() - begin
+        about = {**_about(asked, plan, world, depth), "notes": list(notes), "made_in_s": round(made_in_s, 3)}
+        write_json(new / "film.json", about)
+    return made_in_s
+
+
+def _about(asked: Asked, plan: Plan, world: Scene, depth: "DepthScale") -> dict[str, Any]:
+    """What there is to know of the film; also a camera path that nerfstudio, and `--path`, read again."""
+    world_from_box = np.linalg.inv(world.box_from_world)
+    shown = {"unit": depth.unit, "metres": world.metric, "near": depth.near, "far": depth.far}
+    entries = []
+    for camera, at in zip(plan.cameras, plan.times, strict=True):
+        fov = float(np.degrees(2 * np.arctan(0.5 * camera.height / camera.K[1, 1])))
+        pose = np.array(opengl_pose(camera.moved(world_from_box))).reshape(-1).tolist()
+        entry = {"camera_to_world": pose, "fov": fov, "aspect": camera.width / camera.height}
+        entries.append(entry if at is None else entry | {"render_time": at})
+    count, length_s = len(entries), world.t1_s - world.t0_s
+    return {
+        "path": asked.path or "orbit",
+        "frames": count,
+        "fps": plan.fps,
+        "seconds": count / plan.fps,
+        "times_s": [None if at is None else world.t0_s + at * length_s for at in plan.times],
+        "layers": {layer: shown if layer == "depth" else {} for layer in asked.layer_names()},
+        "without": asked.left_out(),
+        "camera_type": "perspective",
+        "render_width": plan.cameras[0].width,
+        "render_height": plan.cameras[0].height,
+        "camera_path": entries,
+    }
 
 
 def _showing(model: "DynamicModel", without: tuple[int, ...]) -> "DynamicModel":
@@ -135,21 +138,6 @@ def _showing(model: "DynamicModel", without: tuple[int, ...]) -> "DynamicModel":
         text = f"{said}: expected parts of 1 to {count}; the report lists them"
         raise InputError("option-out-of-range", text)
     return model.showing(True, [part for part in range(1, count + 1) if part not in without])
-
-
-def _folder(job: Run, asked: Asked) -> Path:
-    """Where the film goes; nothing but a film is replaced."""
-    if asked.out is None:
-        check_run_folder(job.run_dir, ())
-        folder = job.run_dir / "films" / asked.name
-    else:
-        folder = asked.out.expanduser().resolve()
-    check_folder(folder, "--out")
-    if folder.is_dir() and any(folder.iterdir()) and read_made_from(folder / FILM) is None:
-        text = f"--out {folder}: holds files that are no film; name another folder, or empty it"
-        raise InputError("folder-exists", text)
-    check_folder(folder.parent, "--out")
-    return folder
 
 
 def _check_made(job: Run) -> None:
@@ -169,16 +157,14 @@ def _state(job: Run) -> list[str]:
         failed = [row.check for row in read_health(job.run_dir / stage.name) if row.verdict == "fail"]
         if failed:
             lines.append(f"{stage.name} is unhealthy: {'; '.join(failed)}")
-        if stage.name not in READS:
-            continue
-        if not (job.run_dir / stage.name).is_dir():
+        if stage.name in READS and not (job.run_dir / stage.name).is_dir():
             lines.append(f"{stage.name} is not made yet: the film shows the scene at rest")
     return [*lines, *said_of_stale(stale(job, READS[-1]))]
 
 
-def _check_memory(job: Run, plan: Film) -> None:
+def _check_memory(job: Run, plan: Plan, layers: Sequence[str]) -> None:
     pixels = max(camera.width * camera.height for camera in plan.cameras)
-    each = PIXEL_BYTES + LAYER_BYTES * (len(plan.layers) - 1)
+    each = PIXEL_BYTES + DEPTH_BYTES * ("depth" in layers)
     needed, allowed = BASE_BYTES + each * pixels, allowed_bytes(job.config)
     if needed > allowed:
         camera = plan.cameras[0]
@@ -189,57 +175,14 @@ def _check_memory(job: Run, plan: Film) -> None:
         )
 
 
-def _leaving(plan: Film, model: "DynamicModel") -> list[str]:
-    """What is to be said of where the path leads.
-
-    Raises:
-        InputError: From some places nothing can be shown.
-    """
-    from devrf.reconstruct.film.leaving import FREE_DEG, leaving
-
-    found = leaving(plan.scene, model, plan.cameras, plan.times)
-    count = plan.count
-    if found.unseen:
-        first = found.unseen[0]
-        raise InputError(
-            "film-path-blind",
-            f"--path {plan.path}: {len(found.unseen)} of {count} pictures cannot be rendered, the first is {first} (at "
-            f"{first / plan.fps:.2f} s): the camera is inside of something solid, or farther from "
-            f"the scene's box than any camera saw ({model.rest.far:.3g} box units); move the path nearer to where "
-            "cameras stood",
-        )
-    notes = []
-    if found.outside:
-        notes.append(
-            f"{found.outside} of {count} pictures look from where no training camera looked from (up to "
-            f"{found.farthest_deg:.0f} degrees away; more than {FREE_DEG:g}, or much nearer or farther, counts): what "
-            "they show is guessed"
-        )
-    if found.cut:
-        notes.append(
-            f"in {found.cut} of {count} pictures something is nearer than {model.rest.near:.3g} box units, where "
-            "nothing is shown: it is cut open"
-        )
-    return notes
-
-
-def _confidence(talk: Talk, world: Scene, model: "DynamicModel") -> Any:
-    from devrf.reconstruct.confidence import Confidence
-
-    talk.say("  looking at training pictures, to know how sure a picture is")
-    return Confidence(world, model)
-
-
 @contextmanager
 def _told(folder: Path) -> Iterator[None]:
-    """A disk that is full, in words."""
+    """A disk that is full, or memory, in words."""
     try:
-        with disk_told(folder, f"make room, or name another folder with --out; {GOES_ON}"):
+        with disk_told(folder, "make room, or name another folder with --out"):
             yield
-    except CaptureError as error:
-        raise DevrfError(error.code, f"{error}; {GOES_ON}") from None
     except Exception as error:
         if not is_no_memory(error):
             raise
-        text = f"not enough memory for pictures of this size; choose a smaller --size: {GOES_ON}"
+        text = "not enough memory for pictures of this size; choose a smaller --size"
         raise DevrfError("no-memory", text) from None

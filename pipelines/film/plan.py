@@ -1,7 +1,8 @@
-"""From what was asked to a film: a camera and a time for every picture."""
+"""From what was asked to a film: which options can be, and a camera and a time for every picture."""
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,52 +10,128 @@ import numpy as np
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.camera_path import CameraPath, read_camera_path
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import Scene
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.words import suggestion
-from devrf.pipelines.film.asked import USUAL_FPS, USUAL_SLOW, Asked, option
-from devrf.reconstruct.film.between import between, through, views_of
-from devrf.reconstruct.film.paths import PATHS
-from devrf.reconstruct.film.span import Span, film_cameras, film_lens
-from devrf.reconstruct.film.times import STANDING_S, TimeCurve, parse_time, picture_count
+from devrf.reconstruct.film.paths import PATHS, through
+from devrf.reconstruct.film.span import film_cameras, film_lens
+from devrf.reconstruct.film.times import parse_time
 
+LAYERS, FORMATS = ("colour", "depth"), ("mp4", "png")
+SIDE_PX = (16, 8192)  # least and most of a picture
+FPS = (0.1, 240.0)
+USUAL_FPS = 24.0
+MOST_S = 3600.0
 MOST_PICTURES = 20_000
-MOST_ANIMATED = 500  # in one animated picture: the encoder has all of them open
+STANDING_S = 4.0  # length of a film in which time stands still, where none is named
 OTHER_SHAPE = 0.02  # by which the size of a camera that stands may differ from its pictures' shape
 
 
 @dataclass(frozen=True)
-class Film:
-    """A film to make.
+class Asked:
+    """The options of a film as typed; what was not asked for is None."""
 
-    Attributes:
-        scene: In the box frame.
-        path: What was asked of the path.
-        cameras: Of every picture, in the box frame.
-        times: Of every picture in [0, 1]; None where the scene is at rest.
-        fps: Pictures a second.
-        layers: What is shown, of `asked.LAYERS`.
-        format: One of `asked.FORMATS`.
-        beside: The true picture beside each, or none.
-        without: Rigid parts that are not shown, counted from 1.
-    """
+    path: str | None = None
+    time: str | None = None
+    seconds: float | None = None
+    fps: float | None = None
+    size: str | None = None
+    layers: str | None = None
+    without: str | None = None
+    format: str | None = None
+    out: Path | None = None
 
-    scene: Scene
-    path: str
+    @property
+    def nothing(self) -> bool:
+        """Whether no option was given."""
+        return self == Asked()
+
+    @property
+    def name(self) -> str:
+        """A name for the film's folder that other options do not give."""
+        words = [Path(self.path).stem if self.path and self.path.endswith(".json") else self.path or "orbit"]
+        for key in (field.name for field in fields(self) if field.name not in ("path", "out")):
+            if (value := getattr(self, key)) is not None:
+                words += [key, f"{value:g}" if isinstance(value, float) else value]
+        return re.sub(r"[^\w.+-]+", "-", "-".join(words)).strip("-.")[:120] or "film"
+
+    def check(self) -> None:
+        """Refuse what is no film.
+
+        Raises:
+            InputError: With the option, its value and what is expected.
+        """
+        for key, low, high in (("seconds", 0.0, MOST_S), ("fps", *FPS)):
+            value = getattr(self, key)
+            if value is not None and not low <= value <= high or value == 0:
+                least = "more than 0" if low == 0 else f"at least {low:g}"
+                text = f"--{key} {value:g}: expected {least} and at most {high:g}"
+                raise InputError("option-out-of-range", text)
+        if (self.format or "mp4") not in FORMATS:
+            raise _unknown("--format", str(self.format), FORMATS)
+        self.size_px()
+        self.layer_names()
+        self.left_out()
+
+    def size_px(self) -> tuple[int, int] | None:
+        """Width and height.
+
+        Raises:
+            InputError: Not a size, or one that cannot be made.
+        """
+        if self.size is None:
+            return None
+        match = re.fullmatch(r"(\d{1,6})x(\d{1,6})", self.size.strip())
+        if match is None:
+            text = f"--size {self.size}: expected WIDTHxHEIGHT, such as 640x360"
+            raise InputError("option-malformed", text)
+        width, height = int(match[1]), int(match[2])
+        least, most = SIDE_PX
+        if not (least <= width <= most and least <= height <= most):
+            text = f"--size {self.size}: expected sides of {least} to {most} pixels"
+            raise InputError("option-out-of-range", text)
+        if self.format != "png" and (width % 2 or height % 2):
+            raise InputError(
+                "film-sides-odd",
+                f"--size {self.size}: H.264 needs even sides; take {width - width % 2}x{height - height % 2}, or "
+                "--format png",
+            )
+        return width, height
+
+    def layer_names(self) -> tuple[str, ...]:
+        """The layers, in the order of `LAYERS`.
+
+        Raises:
+            InputError: One of them is unknown.
+        """
+        asked = {word.strip() for word in (self.layers or "colour").split(",")}
+        for layer in sorted(asked - set(LAYERS)):
+            raise _unknown("--layers", layer, LAYERS)
+        return tuple(layer for layer in LAYERS if layer in asked)
+
+    def left_out(self) -> tuple[int, ...]:
+        """Rigid parts that are not shown, counted from 1.
+
+        Raises:
+            InputError: Not numbers.
+        """
+        words = [] if self.without is None else [word.strip() for word in self.without.split(",")]
+        if not all(re.fullmatch(r"0*[1-9]\d{0,2}", word) for word in words):
+            text = f"--without {self.without}: expected numbers of parts, such as 2 or 1,3 (the report lists them)"
+            raise InputError("option-malformed", text)
+        return tuple(sorted({int(word) for word in words}))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Cameras (in the box frame) and times (in [0, 1]; None: at rest) of a film's pictures, and how many a second."""
+
     cameras: tuple[Camera, ...]
     times: tuple[float | None, ...]
     fps: float
-    layers: tuple[str, ...]
-    format: str
-    beside: tuple[PosedFrame, ...] = ()
-    without: tuple[int, ...] = ()
-
-    @property
-    def count(self) -> int:
-        """Number of pictures."""
-        return len(self.cameras)
 
 
-def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Film:
+def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Plan:
     """Find the cameras and times.
 
     Args:
@@ -65,45 +142,27 @@ def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Film:
     Raises:
         InputError: What was asked for does not fit this scene.
     """
-    scene = world.in_box_frame()
-    spoken = asked.path or "orbit"
+    scene, spoken = world.in_box_frame(), asked.path or "orbit"
     cameras = film_cameras(scene)
     lens = film_lens(cameras, most_pixels, asked.size_px())
-    if not moves:
-        _refuse_times(asked)
+    if asked.time is not None and not moves:
+        raise InputError(
+            "scene-without-motion",
+            "--time: there is no motion in this run (nothing moves, or stage deformation is not made yet); a film of "
+            "it shows the scene at rest, without times",
+        )
     given = _from_file(asked, spoken, lens)
     fps = asked.fps or (given.fps if given is not None and given.fps else None) or USUAL_FPS
-    count, times = _times(asked, scene, moves, fps, given)
+    times = _times(asked, scene, moves, fps, given)
     if given is not None:
-        path = _through(given, world, count)
+        path = _through(given, world, len(times))
     elif spoken in PATHS:
-        path = PATHS[spoken](cameras, scene.aabb, count, lens)
-    elif spoken == "between" or spoken.startswith("between:"):
-        names = [name for name in spoken.partition(":")[2].split(",") if name]
-        views = views_of(scene, names)
-        closed = not names and Span.of(views, scene.aabb).closed
-        path = between(views, scene.aabb, count, lens, closed)
+        path = PATHS[spoken](cameras, scene.aabb, len(times), lens)
     elif spoken.startswith("still:"):
-        path = [_still(scene, spoken.partition(":")[2], asked)] * count
+        path = [_still(scene, spoken.partition(":")[2], asked)] * len(times)
     else:
-        raise _unknown(spoken)
-    film = Film(
-        scene,
-        spoken,
-        tuple(path),
-        times,
-        fps,
-        asked.layer_names(),
-        asked.format or "mp4",
-        without=asked.left_out(),
-    )
-    if film.format == "webp" and film.count > MOST_ANIMATED:
-        raise InputError(
-            "film-too-long",
-            f"--format webp: {film.count} pictures, at most {MOST_ANIMATED} are put into one; choose fewer --seconds "
-            "or --fps, or mp4",
-        )
-    return film if asked.beside is None else _with_true(film, asked.beside)
+        raise _unknown("--path", spoken.partition(":")[0], (*PATHS, "still:CAMERA", "FILE.json"))
+    return Plan(tuple(path), times, fps)
 
 
 def _from_file(asked: Asked, spoken: str, lens: Camera) -> CameraPath | None:
@@ -124,55 +183,31 @@ def _from_file(asked: Asked, spoken: str, lens: Camera) -> CameraPath | None:
 
 def _times(
     asked: Asked, scene: Scene, moves: bool, fps: float, given: CameraPath | None
-) -> tuple[int, tuple[float | None, ...]]:
-    """Number of pictures and the time of each."""
-    t0_s, t1_s = scene.t0_s, scene.t1_s
-    seconds = asked.seconds
+) -> tuple[float | None, ...]:
+    """Of each picture: as it was, or all of the clip in `--seconds`, or as the file says, or one time throughout."""
+    seconds, clip_s = asked.seconds, scene.t1_s - scene.t0_s
     if seconds is None and given is not None:
         lasts = len(given.cameras) / fps if given.every_picture else given.seconds
         seconds = lasts or float(max(len(given.cameras) - 1, 1))
     if not moves or asked.time is not None:
-        count = _checked(picture_count(seconds or STANDING_S, fps, False))
-        time = None if asked.time is None else parse_time(asked.time, "--time", t0_s, t1_s)
-        return count, (time,) * count
-    if given is not None and given.times is not None and not asked.running:
-        count = _checked(picture_count(seconds or 1.0, fps, False))
-        knots = [*given.times, *(given.times[:1] if given.closed else ())]
-        times = np.interp(_places(given, count, len(knots)), np.arange(len(knots)), knots)
-        return count, tuple(times.tolist())
-    curve = _curve(asked, t0_s, t1_s)
-    one_way = seconds is None and not curve.ping_pong
-    count = _checked(picture_count(curve.natural_s() if seconds is None else seconds, fps, one_way))
-    if one_way and curve.speed is None:
-        curve = replace(curve, speed=1.0)
-    return count, tuple(curve.times(count, fps).tolist())
+        time = None if asked.time is None else parse_time(asked.time, "--time", scene.t0_s, scene.t1_s)
+        return (time,) * _count((seconds or STANDING_S) * fps)
+    if seconds is None:  # to the end, where nothing follows
+        count = _count(np.floor(clip_s * fps + 1e-6) + 1)
+        return tuple(np.minimum(np.arange(count) / (fps * max(clip_s, 1e-9)), 1.0).tolist())
+    count = _count(seconds * fps)
+    if given is None or given.times is None:
+        return tuple(np.linspace(0.0, 1.0, count).tolist())
+    knots = [*given.times, *(given.times[:1] if given.closed else ())]
+    return tuple(np.interp(_places(given, count, len(knots)), np.arange(len(knots)), knots).tolist())
 
 
-def _curve(asked: Asked, t0_s: float, t1_s: float) -> TimeCurve:
-    begin = 0.0 if asked.begin is None else parse_time(asked.begin, "--from", t0_s, t1_s)
-    end = 1.0 if asked.end is None else parse_time(asked.end, "--to", t0_s, t1_s)
-    if begin >= end:
-        text = f"--from {asked.begin or 0} --to {asked.end or 1}: the second is not after the first"
-        raise InputError("times-reversed", text)
-    texts = asked.slow_texts()
-    slow = None
-    if texts is not None:
-        first, last = (parse_time(text, "--slow", t0_s, t1_s) for text in texts)
-        if first >= last:
-            raise InputError("times-reversed", f"--slow {asked.slow}: the second time is not after the first")
-        slow = (first, last)
-    speed = USUAL_SLOW if slow is not None and asked.speed is None else asked.speed
-    return TimeCurve(t1_s - t0_s, begin, end, speed, slow, bool(asked.ping_pong))
-
-
-def _refuse_times(asked: Asked) -> None:
-    options = [*asked.running, *(["time"] if asked.time is not None else [])]
-    if options:
-        raise InputError(
-            "scene-without-motion",
-            f"{option(options[0])}: there is no motion in this run (nothing moves, or stage "
-            "deformation is not made yet); a film of it shows the scene at rest, without times",
-        )
+def _count(pictures: float) -> int:
+    count = max(1, round(pictures))
+    if count > MOST_PICTURES:
+        wrong = f"the film would have {count} pictures, at most {MOST_PICTURES} are made"
+        raise InputError("film-too-long", f"{wrong}; choose fewer --seconds or --fps")
+    return count
 
 
 def _through(given: CameraPath, world: Scene, count: int) -> list[Camera]:
@@ -181,11 +216,11 @@ def _through(given: CameraPath, world: Scene, count: int) -> list[Camera]:
     if given.every_picture and count == len(views):
         return views
     views += views[:1] if given.closed else []
-    return through(views, np.arange(len(views), dtype=np.float64), _places(given, count, len(views)))
+    return through(views, _places(given, count, len(views)))
 
 
 def _places(given: CameraPath, count: int, knots: int) -> np.ndarray:
-    """Where each picture lies among the file's views."""
+    """Where each picture lies among the file's views [count]."""
     return np.linspace(0, knots - 1, count, endpoint=not given.closed)
 
 
@@ -209,32 +244,7 @@ def _still(scene: Scene, name: str, asked: Asked) -> Camera:
     return replace(camera, width=size[0], height=size[1], K=K)
 
 
-def _with_true(film: Film, name: str) -> Film:
-    """The film with the true pictures of a camera; one that stands where that camera does takes their times."""
-    frames = sorted((f for f in film.scene.dynamic if f.camera_name == name), key=lambda f: f.time or 0.0)
-    if not frames or any(time is None for time in film.times):
-        names = sorted({f.camera_name for f in film.scene.dynamic})
-        text = f"--beside {name}: no such camera in motion; expected one of {', '.join(names) or 'none'}"
-        raise InputError("camera-unknown", text)
-    at = np.array([f.time for f in frames], dtype=np.float64)
-    nearest = [int(np.abs(at - time).argmin()) for time in film.times if time is not None]
-    beside = tuple(frames[n] for n in nearest)
-    if film.path == f"still:{name}":
-        return replace(film, beside=beside, times=tuple(f.time for f in beside))
-    return replace(film, beside=beside)
-
-
-def _checked(count: int) -> int:
-    if count > MOST_PICTURES:
-        raise InputError(
-            "film-too-long",
-            f"the film would have {count} pictures, at most {MOST_PICTURES} are made; choose fewer --seconds or --fps",
-        )
-    return count
-
-
-def _unknown(spoken: str) -> InputError:
-    known: Sequence[str] = (*PATHS, "between", "between:CAMERA,CAMERA", "still:CAMERA", "FILE.json")
-    return InputError(
-        "option-unknown-value", f"--path {spoken}: expected {', '.join(known)}{suggestion(spoken, known)}"
-    )
+def _unknown(option: str, word: str, choices: Sequence[str]) -> InputError:
+    """A word that an option does not take, or no more."""
+    expected = f"expected {', '.join(choices)}{suggestion(word, choices)}"
+    return InputError("option-unknown-value", f"{option} {word}: {GONE.get(f'{option} {word}', expected)}")

@@ -56,9 +56,8 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int, names: Collect
             "for a password",
             style="yellow",
         )
-    from devrf.pipelines.viewer.site import Site, settle
+    from devrf.pipelines.viewer.site import Site
 
-    settle(device)
     with stopped_by_signals():
         try:
             site = Site(job.config, job.run_dir, device, host, port, [host, *names])

@@ -6,29 +6,21 @@ all; what is replaced while it is read cannot be read, and is looked for again.
 
 import json
 import os
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from jaxtyping import Float32, UInt8
 
 from devrf.capture.errors import DevrfError
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.logs import EVENTS_FILE
-from devrf.pipelines.report.run import RunFolder
-from devrf.pipelines.report.space import sweep_points
 from devrf.pipelines.runner.lock import is_held
-from devrf.pipelines.stages import stage_names
 from devrf.pipelines.stamps.stamp import read_stamp, stamp_content, stamp_id
 from devrf.pipelines.training_checkpoint import checkpoint_path
-from devrf.pipelines.unknown_clocks import unknown_clock_notes
 
 if TYPE_CHECKING:  # they need torch
     from devrf.reconstruct.model import DynamicModel
 
-GREY = 150  # points of unknown colour
 TAIL_BYTES = 4096  # of events.jsonl: its last lines
 
 
@@ -48,11 +40,6 @@ class Found:
     rest_training: int | None = None
     motion_training: int | None = None
 
-    @property
-    def finished(self) -> bool:
-        """Whether what is shown is a finished model."""
-        return self.rest is not None and self.rest_training is None and self.motion_training is None
-
 
 @dataclass(frozen=True)
 class Loaded:
@@ -60,18 +47,13 @@ class Loaded:
 
     Attributes:
         found: What it was read from.
-        scene: In the box frame, its clocks as the motion was trained with; None where there is none yet.
+        scene: In the box frame; None where there is none yet.
         model: None where there is none yet.
-        points, colours: Of the sweep, box frame and [0, 255].
-        notes: On what is shown.
     """
 
     found: Found = Found()
     scene: Scene | None = None
     model: "DynamicModel | None" = None
-    points: Float32[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
-    colours: UInt8[np.ndarray, "n 3"] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
-    notes: tuple[str, ...] = ()
 
 
 def look(run_dir: Path) -> Found:
@@ -105,17 +87,8 @@ def load(run_dir: Path, found: Found, device: str, before: Loaded) -> Loaded:
         scene = read_scene(run_dir / "scene")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DevrfError("scene-unreadable", f"{run_dir / 'scene'}: cannot be read ({error})") from None
-    run = RunFolder(run_dir, stage_names(), {})
-    points = _points(run, scene)
-    if found.rest is None and found.rest_training is None:
-        return Loaded(found, scene.in_box_frame(), None, *points)
-    from devrf.reconstruct.as_trained import as_trained
-
-    metrics = run.object("deformation/metrics.json") if found.finished and found.motion else {}
-    trained = as_trained(scene, metrics).in_box_frame()
-    names = dict.fromkeys(f.camera_name for f in scene.dynamic)
-    notes = unknown_clock_notes(metrics.get("test_clocks", {}), names)
-    return Loaded(found, trained, _model(run_dir, found, device), *points, tuple(notes))
+    trained = found.rest is not None or found.rest_training is not None
+    return Loaded(found, scene.in_box_frame(), _model(run_dir, found, device) if trained else None)
 
 
 def progress(run_dir: Path) -> dict[str, Any]:
@@ -149,16 +122,6 @@ def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
         return DynamicModel(rest, motion_in_training(checkpoint_path(run_dir, "deformation"), device))
     model = load_trained(run_dir, device)
     return model if found.motion is not None else replace(model, motion=None, in_motion=None, movers=None)
-
-
-def _points(run: RunFolder, scene: Scene) -> tuple[Float32[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """The sweep's points with their colours; those of a data set are grey."""
-    xyz, colours, _ = sweep_points(run)
-    if not len(xyz) and scene.points is not None:
-        xyz = scene.points.xyz
-        colours = np.full(xyz.shape, GREY)
-    R, t = scene.box_from_world[:3, :3], scene.box_from_world[:3, 3]
-    return (xyz @ R.T + t).astype(np.float32), colours.astype(np.uint8)
 
 
 def _made_of(folder: Path, read: Path) -> bool:

@@ -10,7 +10,7 @@ from devrf.pipelines.runner.plan import last_error, read_health
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.viewer.source import Loaded, progress
 
-MOST_ROWS = 6  # of health: more are in the report
+MOST_ROWS = 3  # of health: more, and warnings, are in the report
 OK, WARN, FAIL, RUNNING = "#1a7f4b", "#9a6200", "#b3261e", "#2563b8"  # white is read on each
 LINE = '<div style="font-size:0.85em;margin:0.35em 0.75em;overflow-wrap:anywhere">{}</div>'
 PILL = '<span style="color:#fff;border-radius:0.6em;padding:0.05em 0.5em;background:{}">{}</span> '
@@ -49,7 +49,7 @@ def standing(config: SceneConfig, run_dir: Path, loaded: Loaded, unreadable: str
         lines.append(PILL.format(WARN, "doubtful") + f"warnings: {len(doubtful)} in {len(rows)} checks")
     elif rows and not missing and not working:
         lines.append(PILL.format(OK, "healthy") + f"{len(rows)} checks")
-    lines += [f"<b>{name}</b>: {escape(describe(row))}" for name, row in (bad + doubtful)[:MOST_ROWS]]
+    lines += [f"<b>{name}</b>: {escape(describe(row))}" for name, row in bad[:MOST_ROWS]]
     return "".join(LINE.format(line) for line in lines)
 
 

@@ -1,5 +1,5 @@
-"""Films of a scene: where the camera goes, how time runs, what is shown beside colour.
+"""Films of a scene: where the camera goes, when pictures are taken, what they show, and how a film is made.
 
-Novel views are only good between views that were seen, so every path is made from the places that cameras looked
-from. Everything is in the box frame.
+Novel views are only good between views that were seen, so every path but one of a file is made from the places that
+cameras looked from. Everything is in the box frame.
 """

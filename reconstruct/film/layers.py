@@ -1,19 +1,14 @@
-"""What a picture of a film holds beside colour: depth, motion, and what of it can be shown.
-
-Depth is along the camera's axis, of what is seen in the box; surroundings have none. Motion is *backward*, as
-everywhere in this program: from a pixel to where what it shows was seen in the picture before it.
-"""
+"""Depth as a film shows it: along the camera's axis, of what is seen in the box; surroundings have none."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8, UInt16
+from jaxtyping import Float, Float32, UInt8, UInt16
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.error_map import inferno
-from devrf.reconstruct.geometry.field import moved
-from devrf.reconstruct.model import SOLID, DynamicModel, Layers
+from devrf.reconstruct.model import SOLID, Layers
 from devrf.reconstruct.rays import pixel_directions
 
 MILLIMETRE = 0.001
@@ -55,10 +50,11 @@ class DepthScale:
 
 def planar_depth(camera: Camera, layers: Layers, scale: DepthScale) -> Float32[np.ndarray, "h w"]:
     """Depth along the camera's axis, world units; 0 where nothing solid is seen in the box."""
-    surface, solid = _surface(camera, layers)
+    _, away, opacity = layers
+    surface = camera.centre + (away / np.maximum(opacity, SOLID))[..., None] * pixel_directions(camera)
     axis = camera.cam_from_world[2]
     depth = (surface @ axis[:3] + axis[3]) * scale.world_per_box
-    return np.where(solid, np.maximum(depth, scale.unit), 0).astype(np.float32)
+    return np.where(opacity > SOLID, np.maximum(depth, scale.unit), 0).astype(np.float32)
 
 
 def depth_steps(depth: Float32[np.ndarray, "h w"], scale: DepthScale) -> UInt16[np.ndarray, "h w"]:
@@ -72,41 +68,3 @@ def depth_colours(depth: Float32[np.ndarray, "h w"], scale: DepthScale) -> UInt8
     share = (inverse - 1 / scale.far) / (1 / scale.near - 1 / scale.far)
     colours = inferno(0.15 + 0.85 * np.clip(share, 0, 1))  # what is far is not black yet
     return np.round(255 * np.where(depth[..., None] > 0, colours, 0)).astype(np.uint8)
-
-
-def backward_flow(
-    model: DynamicModel,
-    layers: Layers,
-    camera: Camera,
-    time: float | None,
-    before: Camera,
-    time_before: float | None,
-) -> tuple[Float32[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:
-    """Motion of what a picture shows since another one: u right, v down, pixels; and where it is known.
-
-    Args:
-        model: As it was rendered.
-        layers: Of the picture.
-        camera, time: Of the picture; cameras in the box frame.
-        before, time_before: Of the one before.
-    """
-    height, width = layers[2].shape
-    now = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-    surface, solid = _surface(camera, layers)
-    flow = np.zeros((height, width, 2), np.float32)
-    if camera.cam_from_world.tobytes() == before.cam_from_world.tobytes() and camera.lens == before.lens:
-        known = np.ones_like(solid)  # surroundings stand still before a camera that does
-    else:
-        known = solid.copy()
-    there = before.project(moved(model, surface[solid], time, time_before))
-    flow[solid] = there - now[solid]
-    lost = ~np.isfinite(flow).all(-1)
-    flow[lost], known[lost] = 0, False
-    return flow, known
-
-
-def _surface(camera: Camera, layers: Layers) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """Where what each pixel shows is, and whether it shows anything solid."""
-    _, depth, opacity = layers
-    distance = depth / np.maximum(opacity, SOLID)
-    return camera.centre + distance[..., None] * pixel_directions(camera), opacity > SOLID

@@ -1,7 +1,7 @@
-"""Camera paths through the span of the training cameras: around, on a small spiral, nearer and farther.
+"""Camera paths: around and on a small spiral within the span of the training cameras, or through given key frames.
 
-All of them look at the target and close: the last picture leads to the first again, so a film can loop. Where the
-cameras are not all around, a path goes there and back like a pendulum, without a jerk at its ends.
+`orbit` and `spiral` look at the target and close: the last picture leads to the first again, so a film can loop. Where
+the cameras are not all around, the orbit goes there and back like a pendulum, without a jerk at its ends.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,6 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation, RotationSpline
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.film.span import Span
@@ -18,7 +20,6 @@ SPIRAL_TURNS = 2  # in a film, as of LLFF's
 SPIRAL_SHARE = 0.25  # of the span in azimuth (and of the cameras' elevations): how far the spiral reaches
 SPIRAL_DEG = (2.0, 12.0)  # least and most of it, either way
 SPIRAL_DEPTH = 0.06  # of the distance: how far it goes in and out, once a film
-DOLLY = (0.7, 1.15)  # of the cameras' distance: nearest and farthest
 
 
 def orbit(
@@ -46,7 +47,8 @@ def spiral(
 ) -> list[Camera]:
     """A small spiral about the middle of the span (after LLFF: Mildenhall et al. 2019); arguments as `orbit`'s."""
     span = Span.of(cameras, aabb)
-    middle, elevation, distance = _middle(span)
+    middle = span.start + span.extent / 2
+    elevation, distance = span.near(middle)
     least, most = np.radians(SPIRAL_DEG)
     wide = float(np.clip(SPIRAL_SHARE * span.extent, least, most))
     high = float(np.clip(SPIRAL_SHARE * np.ptp(span.elevation), least, wide))
@@ -61,43 +63,35 @@ def spiral(
     return out
 
 
-def dolly(
-    cameras: Sequence[Camera], aabb: Float[np.ndarray, "2 3"], count: int, lens: Camera
-) -> list[Camera]:
-    """From afar towards the subject and back, in the middle of the span; arguments as `orbit`'s."""
-    span = Span.of(cameras, aabb)
-    middle, elevation, distance = _middle(span)
-    near, far = DOLLY
-    ways = distance * (far + (near - far) * _pendulum(count))
-    return [span.looking(lens, span.place(middle, elevation, float(way))) for way in ways]
-
-
-def vertigo(
-    cameras: Sequence[Camera], aabb: Float[np.ndarray, "2 3"], count: int, lens: Camera
-) -> list[Camera]:
-    """`dolly` with a zoom against it: what is at the target keeps its size; arguments as `orbit`'s."""
-    span = Span.of(cameras, aabb)
-    _, _, distance = _middle(span)
-    out = []
-    for camera in dolly(cameras, aabb, count, lens):
-        zoom = float(np.linalg.norm(camera.centre - span.target)) / distance
-        out.append(replace(camera, K=camera.K * [[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]]))
-    return out
-
-
 PATHS: dict[str, Callable[..., list[Camera]]] = {
     "orbit": orbit,
     "spiral": spiral,
-    "dolly": dolly,
-    "vertigo": vertigo,
 }
 """By name: `path(cameras, aabb, count, lens)`."""
 
 
-def _middle(span: Span) -> tuple[float, float, float]:
-    """Azimuth, elevation and distance in the middle of the span."""
-    azimuth = span.start + span.extent / 2
-    return azimuth, *span.near(azimuth)
+def through(views: Sequence[Camera], at: Float[np.ndarray, " count"]) -> list[Camera]:
+    """Key frames, met at 0, 1, 2, …, and what lies between them.
+
+    Positions and focal lengths run on monotone cubic splines (Fritsch & Carlson, SIAM J. Numer. Anal. 1980), which
+    stay between their knots, rotations on those of scipy's `RotationSpline`.
+
+    Args:
+        views: At least one, of one size.
+        at: Places of the pictures among them [count].
+    """
+    if len(views) == 1:
+        return [views[0]] * len(at)
+    knots = np.arange(len(views), dtype=np.float64)
+    places, lenses = (
+        PchipInterpolator(knots, np.array(values))(at)
+        for values in ([view.centre for view in views], [view.K for view in views])
+    )
+    R = RotationSpline(knots, Rotation.from_matrix(np.array([view.cam_from_world[:, :3] for view in views])))
+    return [
+        replace(views[0], K=K, cam_from_world=np.column_stack([turn, -turn @ place]))
+        for K, turn, place in zip(lenses, R(at).as_matrix(), places, strict=True)
+    ]
 
 
 def _phase(count: int) -> Float[np.ndarray, " count"]:

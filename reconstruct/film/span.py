@@ -70,12 +70,6 @@ class Span:
         flat = np.cos(azimuth) * self.east + np.sin(azimuth) * self.north
         return self.target + distance * (np.cos(elevation) * flat + np.sin(elevation) * self.up)
 
-    def told(
-        self, positions: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Azimuth, elevation and distance of positions."""
-        return _angles(positions - self.target, self.up, self.east, self.north)
-
     def looking(self, lens: Camera, position: Float[np.ndarray, "3"]) -> Camera:
         """A camera that looks at the target, up being up in its picture."""
         return replace(lens, cam_from_world=look_at(position, self.target, self.up))

@@ -21,7 +21,6 @@ from devrf.pipelines.batch import task as batch_task
 from devrf.pipelines.batch.rows import STOPPED_MESSAGE
 from devrf.pipelines.batch.scenes import Options, look, stand
 from devrf.pipelines.batch.task import Task, run_task
-from devrf.pipelines.config.gone import gone_option
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 from devrf.pipelines.runner.plan import Standing
@@ -238,7 +237,6 @@ def test_an_option_that_is_gone_says_what_to_do(devrf_process: Command, tmp_path
     result = devrf_process("batch", tmp_path, "--store=s3://bucket/night")
     assert result.code == BAD_INPUT
     assert "--store: is no longer an option" in result.said and "[option-gone]" in result.said
-    assert gone_option(["run", "scene.yaml", "--store"]) is None
 
 
 # --- stopped, killed ---

@@ -19,7 +19,7 @@ from devrf.capture.formats import WRITERS, read_dataset, write_dataset, write_sc
 from devrf.capture.formats.export import MARKER, README
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import Scene
-from devrf.pipelines.config.gone import GONE_VALUES
+from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.command import export
 
@@ -109,9 +109,7 @@ def test_an_unknown_format(devrf: Callable, scene_yaml: Path) -> None:
 @pytest.mark.parametrize("name", ["blender", "devrf", "llff", "mesh", "npz", "rig-anipose", "zarr"])
 def test_a_format_that_is_gone(devrf: Callable, scene_yaml: Path, name: str) -> None:
     result = devrf("export", scene_yaml, "--format", name)
-    assert result.code == 2 and f"--format {name}: {GONE_VALUES[f'--format {name}']}" in " ".join(
-        result.err.split()
-    )
+    assert result.code == 2 and f"--format {name}: {GONE[f'--format {name}']}" in " ".join(result.err.split())
 
 
 @pytest.mark.parametrize(

@@ -1,65 +1,53 @@
-"""What a visitor's panel says: the moment that is shown, and what is behind the box alone."""
+"""The panel of the viewer: the moment that is shown, what of the model, and how wide each page sees it."""
 
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from tests.pipelines.film_folder import halves_model
 from tests.pipelines.trained_run import boxed_model
 
-from devrf.pipelines.viewer.controls import Controls, place, stepped
-from devrf.pipelines.viewer.visit import Visit
+from devrf.pipelines.viewer.controls import Controls, some_of
+from devrf.pipelines.viewer.site import middle
+
+
+def panel(value: float, at_rest: bool = False, moves: bool = True) -> Any:
+    """A panel of a clip from one to three seconds on."""
+    slider = SimpleNamespace(min=1.0, max=3.0, value=value)
+    rest = SimpleNamespace(value=at_rest, visible=moves)
+    return SimpleNamespace(_slider=slider, _at_rest=rest, runs=False, _asked=0.0)
+
+
+def test_the_slider_says_the_moment() -> None:
+    assert Controls.moment(panel(1.5), 10.0) == 0.25
+    assert Controls.moment(panel(1.5, at_rest=True), 10.0) is None
+    assert Controls.moment(panel(1.5, moves=False), 10.0) is None
+
+
+def test_time_that_runs_begins_again_after_the_end() -> None:
+    shown = panel(2.0)
+    shown.runs, shown._asked = True, 10.0
+    moments = [Controls.moment(shown, 10.0 + 0.5 * n) for n in range(5)]
+    assert moments == [0.5, 0.75, 1.0, 0.0, 0.25] and shown._slider.value == 1.5
+
+
+def test_what_stands_and_one_part_alone_can_be_chosen() -> None:
+    model = halves_model()
+    assert some_of(model, "everything") is model
+    stands, upper = some_of(model, "what stands"), some_of(model, "part 2")
+    assert stands.movers is not None and upper.movers is not None
+    assert (stands.movers.labels == 0).all() and set(upper.movers.labels.unique().tolist()) == {0, 2}
 
 
 def test_what_is_in_the_box_alone_is_before_white() -> None:
-    controls = SimpleNamespace(alone=True, shown=None)
-    visit: Any = SimpleNamespace(_loaded=SimpleNamespace(model=boxed_model()), controls=controls, _some=None)
-    alone = Visit._model(visit)
-    assert alone.rest.background == "white" and Visit._model(visit) is alone
-
-
-def test_a_part_alone_is_before_white_and_what_stands_is_not() -> None:
-    asked: list[tuple[bool, tuple[int, ...]]] = []
-
-    def showing(*shown: Any) -> SimpleNamespace:
-        asked.append(shown)
-        return SimpleNamespace(alone=lambda background: f"before {background}")
-
-    model = SimpleNamespace(showing=showing)
-    controls = SimpleNamespace(alone=False, shown=(False, (2,)))
-    visit: Any = SimpleNamespace(_loaded=SimpleNamespace(model=model), controls=controls, _some=None)
-    assert Visit._model(visit) == "before white"
-    controls.shown = True, ()
-    assert isinstance(Visit._model(visit), SimpleNamespace)
-    assert asked == [(False, (2,)), (True, ())]
+    assert some_of(boxed_model(), "what is in the box").rest.background == "white"
 
 
 @pytest.mark.parametrize(
-    ("visible", "value", "shown"),
-    [
-        (True, "everything", None),
-        (True, "what stands", (True, ())),
-        (True, "part 12", (False, (12,))),
-        (False, "part 12", None),  # another model came, without parts
-    ],
+    ("share", "columns"), [(1.0, [0, 1, 2, 3, 4, 5]), (0.66, [1, 2, 3, 4]), (0.01, [2, 3])]
 )
-def test_parts_can_be_chosen_where_there_are_any(visible: bool, value: str, shown: object) -> None:
-    panel: Any = SimpleNamespace(_parts=SimpleNamespace(visible=visible, value=value))
-    assert Controls.shown.fget(panel) == shown  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize(
-    ("way", "step", "there_and_back", "places"),
-    [
-        (0.5, 0.25, False, [0.5, 0.75, 1.0, 0.25, 0.5]),
-        (1.0, 0.5, False, [1.0, 0.5, 1.0]),  # it stands at the end, and begins anew
-        (0.0, 0.5, True, [0.0, 0.5, 1.0, 0.5, 0.0, 0.5]),
-        (1.5, 0.25, False, [0.5, 0.75]),  # on the way back, where it then is there and back no more
-    ],
-)
-def test_time_runs_around_or_there_and_back(
-    way: float, step: float, there_and_back: bool, places: list[float]
-) -> None:
-    assert place(stepped(way, 0.0, there_and_back)) == places[0]
-    for expected in places:
-        assert place(way) == pytest.approx(expected)
-        way = stepped(way, step, there_and_back)
+def test_a_narrower_page_sees_the_middle(share: float, columns: list[int]) -> None:
+    """What is cut off is as wide on both sides."""
+    picture = np.tile(np.arange(6)[None, :, None], (2, 1, 3))
+    assert middle(picture, share)[0, :, 0].tolist() == columns

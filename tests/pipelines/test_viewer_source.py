@@ -44,13 +44,13 @@ def test_what_is_shown_follows_the_run(run: ViewerRun, ball: Ball, rest: RestMod
     assert "cameras and points, no model yet" in told(run, loaded)
     run.rest_in_training(rest)
     loaded = now()
-    assert loaded.model is not None and loaded.model.motion is None and not loaded.found.finished
+    assert loaded.model is not None and loaded.model.motion is None
     assert "interrupted" in told(run, loaded)
     camera = ball.scene.static[0].camera
     expected = render_view(loaded.model, camera, None)
     run.rest(rest)
     loaded = now()
-    assert loaded.found.finished and loaded.model is not None
+    assert loaded.found.rest_training is None and loaded.model is not None
     assert np.abs(render_view(loaded.model, camera, None) - expected).max() < 0.05  # packed in bytes
     run.motion(rest)
     loaded = now()
@@ -63,12 +63,13 @@ def test_a_training_shows_only_while_a_run_is_at_work(run: ViewerRun, ball: Ball
     run.rest(rest)
     run.motion(rest)
     run.rest_in_training(rest)
-    assert look(run.run_dir).finished and look(run.run_dir).motion is not None  # one that was given up
+    found = look(run.run_dir)
+    assert found.rest_training is None and found.motion is not None  # one that was given up
     lock = Lock(run.run_dir)
     lock.take()
     try:
         found = look(run.run_dir)
-        assert found.rest_training is not None and found.motion is None and not found.finished
+        assert found.rest_training is not None and found.motion is None
         events = [
             {"event": "stage_started", "stage": "canonical"},
             {"event": "progress", "stage": "canonical", "fraction": 0.25, "text": "PSNR <20> dB"},
@@ -80,7 +81,7 @@ def test_a_training_shows_only_while_a_run_is_at_work(run: ViewerRun, ball: Ball
         assert "<b>in training" in said
     finally:
         lock.release()
-    assert look(run.run_dir).finished
+    assert look(run.run_dir).rest_training is None
     (run.run_dir / "events.jsonl").write_text('{"event": "run_finished"}\n')
     assert progress(run.run_dir) == {}
 
@@ -112,12 +113,12 @@ def test_what_is_not_well_is_said(run: ViewerRun, ball: Ball, rest: RestModel) -
     said = told(run, loaded)
     assert "not finished" in said and "deformation, evaluate" in said and "ball &lt;b&gt;" in said
     assert "healthy" not in said
-    run.health("scene", "warn", "rays <i> that miss")
-    assert "doubtful" in told(run, loaded) and "rays &lt;i&gt; that miss" in told(run, loaded)
-    run.health("canonical", "fail", "PSNR")
+    run.health("scene", "warn", "rays that miss")
+    assert "doubtful" in told(run, loaded) and "warnings: 1 in 1 checks" in told(run, loaded)
+    run.health("canonical", "fail", "PSNR <i>")
     said = told(run, loaded)
     assert "unhealthy" in said and "refused the result: 1" in said and "Film it again." in said
-    assert said.index("<b>canonical</b>") < said.index("<b>scene</b>")
+    assert "<b>canonical</b>: PSNR &lt;i&gt;" in said and "rays that miss" not in said
     (run.run_dir / ".failed-deformation.json").write_text('{"message": "no room", "code": 1}')
     assert "deformation failed" in told(run, loaded) and "no room" in told(run, loaded)
 

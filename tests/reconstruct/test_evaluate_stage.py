@@ -1,4 +1,4 @@
-"""The evaluate and render stages through their entry points, with a model that is known."""
+"""The evaluate stage through its entry point, with a model that is known."""
 
 import json
 from collections.abc import Callable
@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import av
 import cv2
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages import evaluate, render
+from devrf.pipelines.stages import evaluate
 
 K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
 MOVE = np.diag([2.0, 2.0, 2.0, 1.0])  # the recovered world is twice as large as the true one
@@ -61,7 +60,7 @@ def context(tmp_path: Path) -> StageContext:
         for n, t in enumerate(TIMES)
     ]
     scene = scene_of(still, moving, 0.5, t1_s=2.0)
-    for name in ("scene", "canonical", "deformation", "sync", "ingest", "evaluate", "render"):
+    for name in ("scene", "canonical", "deformation", "sync", "ingest", "evaluate"):
         (run / name).mkdir(parents=True)
     write_scene(run / "scene", scene)
     cost = {"seconds": 10.0, "iterations": 100, "rays": 5000, "peak_rss_gb": 1.0, "peak_gpu_gb": None}
@@ -245,26 +244,3 @@ def test_a_test_camera_without_a_place_is_named(tmp_path: Path) -> None:
 def test_no_truth_no_block(context: StageContext, monkeypatch):
     (context.scene_dir / "ground_truth.json").unlink()
     assert "truth" not in _run(context, monkeypatch)
-
-
-def test_film_plays_through_all_times(context: StageContext, monkeypatch):
-    seen = []
-
-    def load(run_dir: Path, device: str) -> Callable:
-        inner = _known()(run_dir, device)
-
-        def spy(camera: Camera, time: float | None) -> np.ndarray:
-            seen.append(time)
-            return inner(camera, time)
-
-        return spy
-
-    monkeypatch.setattr(render, "load_renderer", load)
-    context.out = context.run_dir / "render"
-    render.run(context)
-    assert seen[0] == 0 and seen[-1] == 1 and len(set(seen)) == len(seen) == render.SIZES["tiny"][0]
-    with av.open(str(context.out / "orbit.mp4")) as film:
-        stream = film.streams.video[0]
-        assert stream.codec_context.pix_fmt == "yuv420p" and len(list(film.decode(stream))) == len(seen)
-    poster = cv2.imread(str(context.out / "poster.png"))
-    assert poster is not None and poster.shape[0] % 2 == 0 and poster.shape[1] % 2 == 0
