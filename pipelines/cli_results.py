@@ -145,9 +145,7 @@ def render(
     end: Annotated[str | None, typer.Option("--to", help="Last time that is shown")] = None,
     ping_pong: Annotated[bool, typer.Option("--ping-pong", help="Time runs there and back")] = False,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT; default: by the preset")] = None,
-    layers: Annotated[
-        str | None, typer.Option(help="Some of colour,depth,flow,confidence. Default: colour")
-    ] = None,
+    layers: Annotated[str | None, typer.Option(help="Some of colour,depth,flow. Default: colour")] = None,
     beside: Annotated[
         str | None, typer.Option(help="Put the true pictures of this camera on the left")
     ] = None,

@@ -48,15 +48,12 @@ def film_json(
     plan: Film, world: Scene, drawer: "Drawer", made: "Made", made_from: str, notes: Sequence[str]
 ) -> dict[str, Any]:
     """What there is to know of the film; also a camera path that nerfstudio, and `--path`, read again."""
-    from devrf.reconstruct.error_map import BLACK_DB, WHITE_DB
-
     world_from_box = np.linalg.inv(world.box_from_world)
     lens, depth = plan.cameras[0], drawer.depth
     length_s = world.t1_s - world.t0_s
     scales: dict[str, Any] = {
         "depth": {"unit": depth.unit, "metres": world.metric, "near": depth.near, "far": depth.far},
         "flow": {"direction": "backward", "full_px": drawer.full_flow_px},
-        "confidence": {"black_db": BLACK_DB, "white_db": WHITE_DB},
     }
     entries = []
     for camera, time in zip(plan.cameras, plan.times, strict=True):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from devrf.capture.errors import InputError
 
-LAYERS = ("colour", "depth", "flow", "confidence")
+LAYERS = ("colour", "depth", "flow")
 FORMATS = ("mp4", "png", "webp")
 SIDE_PX = (16, 8192)  # least and most of a picture
 FPS = (0.1, 240.0)
@@ -83,9 +83,6 @@ class Asked:
         self.layer_names()
         if (self.format or "mp4") not in FORMATS:
             raise InputError("option-unknown-value", f"--format {self.format}: expected {', '.join(FORMATS)}")
-        if self.left_out() and "confidence" in self.layer_names():
-            text = f"--without {self.without}: how sure a picture is, is known of the whole scene; leave out confidence"
-            raise InputError("option-misplaced", text)
         if self.beside is not None and self.layer_names() != ("colour",):
             text = f"--beside {self.beside}: true pictures have no {self.layers}; leave out --layers"
             raise InputError("option-misplaced", text)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -104,8 +104,7 @@ def _make(
         there = kept.count(plan.layers[0])
         if there:
             talk.say(f"  going on: {there} of {plan.count} pictures are there")
-        confidence = _confidence(talk, world, model) if "confidence" in plan.layers else None
-        drawer = Drawer(plan, model, confidence, depth)
+        drawer = Drawer(plan, model, depth)
         try:
             with talk.progress(f"film {folder.name}") as progress:
                 made = make(drawer, kept, progress)
@@ -221,13 +220,6 @@ def _leaving(plan: Film, model: "DynamicModel") -> list[str]:
             "nothing is shown: it is cut open"
         )
     return notes
-
-
-def _confidence(talk: Talk, world: Scene, model: "DynamicModel") -> Any:
-    from devrf.reconstruct.confidence import Confidence
-
-    talk.say("  looking at training pictures, to know how sure a picture is")
-    return Confidence(world, model)
 
 
 @contextmanager

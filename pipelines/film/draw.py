@@ -14,8 +14,6 @@ from devrf.capture.picture_files import to_8_bits
 from devrf.capture.scene import load_image
 from devrf.pipelines.film.plan import Film
 from devrf.pipelines.report.pictures import flow_picture
-from devrf.reconstruct.confidence import Confidence
-from devrf.reconstruct.error_map import confidence_picture
 from devrf.reconstruct.film.layers import DepthScale, backward_flow, depth_colours, depth_steps, planar_depth
 from devrf.reconstruct.model import DynamicModel, Layers, render_layers
 
@@ -30,17 +28,14 @@ class Drawer:
     Args:
         film: The film.
         model: The trained model.
-        confidence: Expected errors of its pictures; needed where that layer is asked for.
         depth: How depth is shown.
     Attributes:
         render_s: Seconds spent rendering so far.
         full_flow_px: Motion of the fullest colour.
     """
 
-    def __init__(
-        self, film: Film, model: DynamicModel, confidence: Confidence | None, depth: DepthScale
-    ) -> None:
-        self.film, self.model, self.confidence, self.depth = film, model, confidence, depth
+    def __init__(self, film: Film, model: DynamicModel, depth: DepthScale) -> None:
+        self.film, self.model, self.depth = film, model, depth
         self.render_s = 0.0
         self.full_flow_px = FULL_FLOW * film.cameras[0].width
 
@@ -63,14 +58,11 @@ class Drawer:
             elif layer == "depth":
                 depth = planar_depth(camera, layers, self.depth)
                 found[name] = (depth_steps if self._exact else depth_colours)(depth, self.depth)
-            elif layer == "flow":
+            else:
                 flow = self._flow(n, layers)
                 found[name] = flow_picture(*flow, self.full_flow_px)
                 if self._exact:
                     found[f"flow/{n:06d}.npz"] = flow
-            elif self.confidence is not None:
-                grey = confidence_picture(self.confidence.expected(camera, time, layers))
-                found[name] = grey if self._exact else grey[..., None].repeat(3, axis=2)
         return found
 
     @property

@@ -56,7 +56,6 @@ class Series:
     y: Sequence[float]
     colour: int = 0
     dashed: bool = False
-    markers: bool = False
 
 
 @dataclass(frozen=True)
@@ -98,8 +97,7 @@ def line_chart(
 
         axes = figure.add_subplot(xlabel=x_label, ylabel=y_label)
         for s, x, y in drawn:
-            style = "--" if s.dashed else "-"
-            axes.plot(x, y, style, color=LINES[s.colour % COLOURS], marker="o" if s.markers else "")
+            axes.plot(x, y, "--" if s.dashed else "-", color=LINES[s.colour % COLOURS])
         if log_y:
             axes.set(yscale="log")
             low, high = axes.yaxis.get_data_interval()

@@ -20,8 +20,7 @@ from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.pipelines.trained_scene import trained_scene
 from devrf.pipelines.unknown_clocks import unknown_clocks
-from devrf.reconstruct.confidence import Confidence
-from devrf.reconstruct.confidence_subject import subject_confidence
+from devrf.reconstruct.confidence import subject_seen
 from devrf.reconstruct.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
@@ -38,17 +37,16 @@ def run(context: StageContext) -> None:
     scene = trained_scene(context.run_dir)  # clocks of test cameras are as they were calibrated
     lpips = lpips_nets(config, context.scene_dir, context.device)
     model = load_trained(context.run_dir, context.device)
-    confidence = Confidence(scene, model)
     truth_file = config.truth_path(context.scene_dir)
     masks = {} if truth_file is None else true_masks(truth_file, scene)
     plain = model.unshaded()
     metrics = evaluate(
-        scene, renderer(model), lpips, context.out, context.progress, confidence, masks,
+        scene, renderer(model), lpips, context.out, context.progress, masks,
         None if plain is None else renderer(plain), unknown_clocks(context.run_dir),
         why_no_test_views(config, context.run_dir),
     )  # fmt: skip
-    metrics["confidence"] |= subject_confidence(scene, confidence)
     metrics |= {
+        "confidence": subject_seen(scene, model),
         "train": training(context.run_dir),
         "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),
         "versions": versions(),

@@ -12,7 +12,7 @@ from devrf.pipelines.viewer.source import Loaded
 EVERYTHING: str = "everything"
 STANDS: str = "what stands"
 PART = "part"
-LAYERS = ("colour", "depth", "opacity", "confidence")
+LAYERS = ("colour", "depth", "opacity")
 SPEEDS = {"¼ ×": 0.25, "½ ×": 0.5, "1 ×": 1.0, "2 ×": 2.0}
 STEP_S = 0.001  # of the time slider
 SLIDER_S = 0.1  # between two moves of the slider while time runs

@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import rich
 import torch
@@ -22,9 +21,6 @@ from devrf.pipelines.viewer.standing import standing
 from devrf.pipelines.viewer.view import first_camera, look_through
 from devrf.pipelines.viewer.visit import Superseded, Visit
 from devrf.reconstruct.model import render_layers
-
-if TYPE_CHECKING:
-    from devrf.reconstruct.confidence import Confidence
 
 LOOK_EVERY_S = 1.0  # at the run folder
 IDLE_S = 1.0  # longest wait for something to paint ...
@@ -73,7 +69,6 @@ class Site:
         self._last = 0  # visitor that was painted for
         self._looked = 0.0  # when the run folder was looked at
         self._thumbnails = Thumbnails()
-        self._confidence: tuple[Loaded, Confidence] | None = None
         self.loaded = Loaded()
         self._unreadable: tuple[Found, str] | None = None  # what could not be read at the last look, and why
         self._refresh()
@@ -134,7 +129,7 @@ class Site:
                 self._wanted.wait(PLAYING_S if plays else IDLE_S)
                 continue
             try:
-                visit.paint(self._known, self._go_on)
+                visit.paint(self._go_on)
             except Exception as error:  # a picture that fails must not end the others
                 if not self._closed.is_set():
                     logger.exception("a picture could not be rendered")
@@ -197,16 +192,6 @@ class Site:
             return None
         self._last = next((number for number in waiting if number > self._last), waiting[0])
         return self._visits.get(self._last)
-
-    def _known(self) -> "Confidence":
-        """What is known of how sure pictures are; learned when it is asked for."""
-        from devrf.reconstruct.confidence import Confidence
-
-        loaded = self.loaded
-        if self._confidence is None or self._confidence[0] is not loaded:
-            assert loaded.scene is not None and loaded.model is not None
-            self._confidence = loaded, Confidence(loaded.scene, loaded.model)
-        return self._confidence[1]
 
     def _make_ready(self) -> None:
         """Load and compile kernels before the first visitor waits for them."""

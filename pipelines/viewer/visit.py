@@ -14,13 +14,11 @@ from devrf.pipelines.viewer.controls import Controls
 from devrf.pipelines.viewer.furniture import Furniture, Thumbnails
 from devrf.pipelines.viewer.source import Loaded
 from devrf.pipelines.viewer.view import first_camera, look_through, seen_by
-from devrf.reconstruct.error_map import confidence_picture
 from devrf.reconstruct.film.layers import DepthScale, depth_colours, planar_depth
 from devrf.reconstruct.model import Layers, render_layers
 from devrf.reconstruct.refinement import FINER, FIRST, at_most, in_time
 
 if TYPE_CHECKING:
-    from devrf.reconstruct.confidence import Confidence
     from devrf.reconstruct.model import DynamicModel
 
 FASTEST_S = 1 / 30  # between two pictures while time runs
@@ -30,8 +28,6 @@ BEHIND = "white"  # what is in the box, where it is shown alone
 DEPTH_PIXELS = 40_000  # a PNG of more takes longer than the picture
 NOTHING_HIDES = 160.0  # depth; what the page can tell ends at 167.77
 BOX_FRAME = DepthScale(near=0.0, far=NOTHING_HIDES, unit=1e-6, world_per_box=1.0)
-UNFINISHED = "_How sure a picture is can be told once the training has finished._"
-SURENESS = "_White is sure, an expected PSNR of 40 dB or more; black is 10 dB or less._"
 
 
 class Superseded(Exception):
@@ -101,11 +97,10 @@ class Visit:
             return False
         return self._wish != self._painted or not self._whole or (self.plays and now >= self._next)
 
-    def paint(self, confidence: Callable[[], "Confidence"], between: Callable[[], object]) -> None:
+    def paint(self, between: Callable[[], object]) -> None:
         """Render the next picture and send it; a larger one of the same is given up when another is wanted.
 
         Args:
-            confidence: What is known of how sure pictures are, where that is to be shown.
             between: Called between parts of the picture; may raise `Superseded`.
         """
         model, scene, now, wish = self._model(), self._loaded.scene, time.monotonic(), self._wish
@@ -126,7 +121,7 @@ class Visit:
         rough = fresh and pixels < whole[0] * whole[1]
         try:
             layers = render_layers(model, camera, shown, between=go_on, roughly=rough)
-            picture = self._picture(layers, camera, shown, confidence)
+            picture = self._picture(layers, camera)
             go_on()
         except Superseded:
             return
@@ -165,26 +160,19 @@ class Visit:
             self._some = whole, chosen, some.alone(BEHIND) if bare else some
         return self._some[2]
 
-    def _picture(
-        self, layers: Layers, camera: Camera, moment: float | None, confidence: Callable[[], "Confidence"]
-    ) -> np.ndarray:
+    def _picture(self, layers: Layers, camera: Camera) -> np.ndarray:
         """What is to be shown of a view, bytes."""
         rgb, _, opacity = layers
-        layer, note = self.controls.layer.value, ""
+        layer = self.controls.layer.value
         picture = to_8_bits(rgb)
-        if layer == "confidence" and not self._loaded.found.finished:
-            note = UNFINISHED
-        elif layer == "confidence":
-            expected, note = confidence().expected(camera, moment, layers), SURENESS
-            picture = np.repeat(confidence_picture(expected)[..., None], 3, axis=2)
-        elif layer == "depth":
+        if layer == "depth":
             scene = self._loaded.scene
             assert scene is not None
             scale = DepthScale.of([camera], scene.aabb, scene.near, 1.0, metric=False)
             picture = depth_colours(planar_depth(camera, layers, scale), scale)
         elif layer == "opacity":
             picture = to_8_bits(np.repeat(opacity[..., None], 3, axis=2))
-        self.controls.note(note)
+        self.controls.note("")
         return picture
 
     def _moved(self) -> None:

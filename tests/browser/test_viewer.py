@@ -169,15 +169,14 @@ def test_it_plays_and_pauses(visited: Visited) -> None:
     assert at() == stands
 
 
-def test_depth_and_confidence_are_shown(visited: Visited) -> None:
+def test_depth_and_opacity_are_shown(visited: Visited) -> None:
     page = visited.page
     seen = [visited.picture()]
-    for layer in ("depth", "opacity", "confidence"):
+    for layer in ("depth", "opacity"):
         page.get_by_label("shows", exact=True).click()
         page.get_by_role("option", name=layer).click()
         wait_for(lambda: _psnr(visited.picture(), seen[-1]) < SAME_DB - 8, LIMIT_S)
         seen.append(visited.picture())
-    page.get_by_text("White is sure").wait_for()
 
 
 def test_a_click_on_a_camera_looks_through_it(visited: Visited, ball: Ball) -> None:

@@ -70,11 +70,11 @@ def test_every_path_shows_the_ball(scene: Path, path: str) -> None:
     assert folder.parent == scene.parent / "run" / "films"
 
 
-def test_layers_hold_depth_in_millimetres_motion_in_pixels_and_confidence(scene: Path) -> None:
+def test_layers_hold_depth_in_millimetres_and_motion_in_pixels(scene: Path) -> None:
     """The ball's nearest point and its way are known in closed form."""
-    folder = film(scene, path="still:cam1", layers="confidence,flow,depth,colour", format="png")
+    folder = film(scene, path="still:cam1", layers="flow,depth,colour", format="png")
     found = about(folder)
-    assert list(found["layers"]) == ["colour", "depth", "flow", "confidence"]
+    assert list(found["layers"]) == ["colour", "depth", "flow"]
     assert found["layers"]["depth"]["unit"] == 0.001 and found["layers"]["depth"]["metres"] is True
     depth = np.array(Image.open(folder / "depth" / "000000.png"))
     assert depth.dtype == np.uint16 and depth[0, 0] == 0
@@ -89,8 +89,6 @@ def test_layers_hold_depth_in_millimetres_motion_in_pixels_and_confidence(scene:
     at = tuple(np.floor(now).astype(int)[::-1])
     assert known[at] and np.abs(flow[at] - (before - now)).max() < 0.6
     assert not read_flow_file(folder / "flow" / "000000.npz")[1].any()
-    grey = np.array(Image.open(folder / "confidence" / "000001.png"))
-    assert grey.shape == (36, 48) and grey.std() > 1
 
 
 def test_parts_can_be_left_out(scene: Path) -> None:
@@ -219,13 +217,12 @@ def test_another_model_is_another_film(scene: Path, capsys: pytest.CaptureFixtur
         ({"size": "9000x20"}, "option-out-of-range", " 16 to 8192"),
         ({"size": "large"}, "option-malformed", "WIDTHxHEIGHT"),
         ({"path": "still:cam0", "size": "48x48"}, "film-other-shape", "cam0 are 48x36; take 48x36"),
-        ({"layers": "colour,normals"}, "option-unknown-value", "colour,depth,flow,confidence"),
+        ({"layers": "colour,normals"}, "option-unknown-value", "colour,depth,flow"),
         ({"format": "avi"}, "option-unknown-value", "mp4, png, webp"),
         ({"beside": "cam9"}, "camera-unknown", "--beside cam9: "),
         ({"beside": "cam0", "layers": "depth"}, "option-misplaced", "--beside cam0: "),
         ({"without": "ball"}, "option-malformed", "--without ball: expected numbers of parts"),
         ({"without": "0"}, "option-malformed", "--without 0: "),
-        ({"without": "1", "layers": "confidence"}, "option-misplaced", "leave out confidence"),
         (
             {"without": "1"},
             "option-misplaced",
