@@ -4,8 +4,9 @@ A scene.yaml with one of them is refused like one with any other unknown key, bu
 """
 
 GONE: dict[str, str] = {
-    "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key, and see "
-    "`mapper: both` for a comparison",
+    "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key",
+    "calibration.static_poses.time_minutes": "structure from motion takes as long as it needs; remove the key, and "
+    "limit the whole run with budget.time_minutes",
     "capture.raw.keep_linear": "pictures in linear light are no longer kept; remove the key, and develop the RAW files "
     "with another program where they are needed",
     "flow.preset": "DIS has one setting, the most accurate one (medium); remove the key",

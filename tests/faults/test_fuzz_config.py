@@ -52,7 +52,7 @@ BASES: dict[str, dict[str, Any]] = {
             "white": {"static": "photo.png"},
         },
         "calibration": {
-            "static_poses": {"mapper": "incremental", "time_minutes": 30.0},
+            "static_poses": {"mapper": "incremental"},
             "sync": {"method": "auto", "av_lag_s": {"cam0": 0.01}, "readout_s": {"cam1": 0.01}},
             "rig": {"method": "auto", "known_distance_m": 1.5},
             "colour": {"method": "auto", "chart": {"static": "photo.png", "cam0": "photo.png"}},
