@@ -7,11 +7,11 @@ from typing import Any
 from devrf.calibration.sweep.pairs import Pair
 
 MATCH_SHARE = 0.5  # of the time that is left; mapping takes about as long
-CHUNK = 128  # pairs between two looks at the clock
+CHUNK = 128  # pairs between two looks at the deadline
 GO_ON_S = 900.0  # for pairs that were not wanted at first: all of a long film's may take hours
 
 
-class Clock:
+class Deadline:
     """What is left of a time budget."""
 
     def __init__(self, budget_s: float | None) -> None:
@@ -26,11 +26,11 @@ class Matching:
     """Pairs matched from the front of the list, as far as they are wanted and time allows."""
 
     def __init__(
-        self, pairs: list[Pair], wanted: int, match: Callable[[list[Pair]], None], clock: Clock
+        self, pairs: list[Pair], wanted: int, match: Callable[[list[Pair]], None], deadline: Deadline
     ) -> None:
         """`pairs` by worth, of which the first `wanted` are wanted; `match` does it."""
         self.pairs, self.wanted = pairs, wanted
-        self._match, self._clock = match, clock
+        self._match, self._deadline = match, deadline
         self.matched, self.seconds = 0, 0.0
 
     def begin(self) -> None:
@@ -40,7 +40,7 @@ class Matching:
     def go_on(self) -> bool:
         """Match pairs that were not wanted at first; whether there were any and time for them."""
         before = self.matched
-        if self._clock.left_s() > 0 and before == self.wanted:
+        if self._deadline.left_s() > 0 and before == self.wanted:
             self._match_until(len(self.pairs), GO_ON_S)
         return self.matched > before
 
@@ -57,13 +57,13 @@ class Matching:
 
     def _match_until(self, count: int, most_s: float) -> None:
         """Match up to a place in the list, or until time is up, but some in any case."""
-        least_left_s = MATCH_SHARE * self._clock.left_s()
-        chunk = count if most_s == self._clock.left_s() == float("inf") else CHUNK
+        least_left_s = MATCH_SHARE * self._deadline.left_s()
+        chunk = count if most_s == self._deadline.left_s() == float("inf") else CHUNK
         start = time.monotonic()
         while self.matched < count:
             end = min(self.matched + chunk, count)
             self._match(self.pairs[self.matched : end])
             self.matched = end
-            if time.monotonic() - start >= most_s or self._clock.left_s() <= least_left_s < float("inf"):
+            if time.monotonic() - start >= most_s or self._deadline.left_s() <= least_left_s < float("inf"):
                 break
         self.seconds += time.monotonic() - start

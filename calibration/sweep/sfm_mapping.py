@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from devrf.calibration.sweep.sfm_budget import Clock
+from devrf.calibration.sweep.sfm_budget import Deadline
 from devrf.capture.progress import Progress
 
 MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
@@ -25,10 +25,16 @@ class Mapping:
     is torn least, then the one with the lowest error."""
 
     def __init__(
-        self, attempt: Attempt, torn: Torn, work: Path, pictures: int, clock: Clock, progress: Progress
+        self, attempt: Attempt, torn: Torn, work: Path, pictures: int, deadline: Deadline, progress: Progress
     ) -> None:
         """`attempt` maps once, into a folder below `work`; `pictures` are all there are."""
-        self.attempt, self.torn, self.work, self.pictures, self.clock = attempt, torn, work, pictures, clock
+        self.attempt, self.torn, self.work, self.pictures, self.deadline = (
+            attempt,
+            torn,
+            work,
+            pictures,
+            deadline,
+        )
         self.progress = progress
         self.best: Reconstruction | None = None
         self.best_torn = 0
@@ -49,7 +55,7 @@ class Mapping:
     def climb(self, ladder: list[dict[str, Any]]) -> None:
         """Try one rung after the other until one registers its share of the pictures, or time is up."""
         for rung in ladder:
-            if self.best is not None and self.clock.left_s() <= 0:
+            if self.best is not None and self.deadline.left_s() <= 0:
                 break
             self._try(rung)
             if self.registered >= rung["accept"] * self.pictures:
@@ -64,7 +70,7 @@ class Mapping:
         """
         tried = {attempt["mapper"] for attempt in self.attempts}
         weak = self.registered < self.pictures or self.best_torn > 0
-        if not (weak or both) or GLOBAL_COST * self.seconds >= self.clock.left_s():
+        if not (weak or both) or GLOBAL_COST * self.seconds >= self.deadline.left_s():
             return []
         return [rung for rung in ladder if rung["mapper"] not in tried][:1]
 
@@ -75,7 +81,7 @@ class Mapping:
     def _try(self, rung: dict[str, Any]) -> None:
         name = rung["name"]
         self.progress(0.7, f"mapping ({name})")
-        start, left = time.monotonic(), self.clock.left_s()
+        start, left = time.monotonic(), self.deadline.left_s()
         folder = self.work / f"attempt{len(self.attempts)}"
         folder.mkdir()
         models = self.attempt(folder, rung, left)

@@ -21,7 +21,7 @@ import numpy as np
 import pycolmap
 
 from devrf.calibration.sweep.pairs import Pair
-from devrf.calibration.sweep.sfm_budget import Clock, Matching
+from devrf.calibration.sweep.sfm_budget import Deadline, Matching
 from devrf.calibration.sweep.sfm_mapping import Mapping
 from devrf.calibration.sweep.sfm_output import (
     best_pair,
@@ -58,7 +58,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     The order import -> extract -> match -> map with fixed seeds, and mapping on one thread, gives the same
     model every time, as long as the time budget (`job["budget_s"]`) cuts nothing short.
     """
-    work, clock = Path(job["work"]), Clock(job["budget_s"])
+    work, deadline = Path(job["work"]), Deadline(job["budget_s"])
     database = work / "database.db"
     pycolmap.Database.open(str(database)).close()
     names = [name for group in job["groups"] for name in group["names"]]
@@ -69,7 +69,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     _extract(database, job, names)
     with pycolmap.Database.open(str(database)) as db:
         counts = features_per_image(db)
-    matching = Matching(job["pairs"], job["wanted"], lambda some: _match(database, job, some), clock)
+    matching = Matching(job["pairs"], job["wanted"], lambda some: _match(database, job, some), deadline)
     _say(0.35, f"matching {job['wanted']} pairs")
     matching.begin()
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
@@ -85,7 +85,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
         found = against_model(read_two_views(work / "two_views.npz"), cameras_of(model))
         return len(torn_apart(sorted(names), found["contradicting"]))
 
-    mapping = Mapping(attempt, torn, work, len(names), clock, _say)
+    mapping = Mapping(attempt, torn, work, len(names), deadline, _say)
     mapping.climb(job["ladder"])
     if mapping.registered < len(names) and matching.go_on():
         mapping.climb(job["ladder"][:1])

@@ -3,15 +3,17 @@
 import json
 import platform
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_masks, read_truth
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.truth import Truth, compare_cameras, compare_clocks, read_masks, read_truth
 from devrf.capture.scene import Scene
-from devrf.pipelines.clocks_in_use import clocks_in_use
+from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
@@ -111,8 +113,8 @@ def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
     moved_s = _read(run_dir / "deformation" / "metrics.json").get("clock_offsets_s", {})
     zero_s = moved_s.get(next(iter(clocks), ""), 0.0)
     return {
-        name: Clock(float(c["offset_s"]) + moved_s.get(name, 0.0) - zero_s, float(c["drift_ppm"]))
-        for name, c in clocks.items()
+        name: replace(clock, offset_s=clock.offset_s + moved_s.get(name, 0.0) - zero_s)
+        for name, clock in clocks.items()
     }
 
 

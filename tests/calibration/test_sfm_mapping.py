@@ -2,7 +2,7 @@
 
 import pytest
 
-from devrf.calibration.sweep.sfm_budget import Clock
+from devrf.calibration.sweep.sfm_budget import Deadline
 from devrf.calibration.sweep.sfm_mapping import Mapping
 
 
@@ -39,7 +39,7 @@ def test_a_torn_model_is_mapped_by_another_mapper_too(tmp_path, first, second, b
         lambda model: model.torn,
         tmp_path,
         80,
-        Clock(None),
+        Deadline(None),
         lambda share, text: None,
     )
     ladder = [{"name": name, "mapper": name, "accept": 0.8} for name in models]

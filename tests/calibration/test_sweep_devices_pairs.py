@@ -11,7 +11,7 @@ from devrf.calibration.sweep.devices import device_groups
 from devrf.calibration.sweep.gps import USUAL_STD_M, local_metres, why_not
 from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.pairs import EXHAUSTIVE_UP_TO, plan_pairs
-from devrf.calibration.sweep.sfm_budget import CHUNK, Clock, Matching
+from devrf.calibration.sweep.sfm_budget import CHUNK, Deadline, Matching
 from devrf.capture.errors import InputError
 from devrf.capture.exif import Exif, Place
 from devrf.capture.frames import FrameSet
@@ -190,8 +190,8 @@ def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
         )
 
 
-class SlowClock(Clock):
-    """A clock that matching moves: 10 ms a pair."""
+class SlowDeadline(Deadline):
+    """A deadline that matching moves: 10 ms a pair."""
 
     def __init__(self, budget_s: float) -> None:
         super().__init__(None)
@@ -208,14 +208,14 @@ def test_matching_stops_in_time_and_goes_on_where_it_may():
     done: list[tuple[str, str]] = []
 
     def run(budget_s: float) -> Matching:
-        clock = SlowClock(budget_s)
+        deadline = SlowDeadline(budget_s)
         done.clear()
 
         def match(pairs):
-            clock.left -= 0.01 * len(pairs)
+            deadline.left -= 0.01 * len(pairs)
             done.extend(pairs)
 
-        matching = Matching(plan.pairs, plan.wanted, match, clock)
+        matching = Matching(plan.pairs, plan.wanted, match, deadline)
         matching.begin()
         return matching
 
