@@ -17,12 +17,12 @@ from benchmarks.script import arguments, finish
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from devrf.calibration.truth import Clock, read_truth, similarity
+from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
 from devrf.lab.bench.bench_rows import Row
-from devrf.pipelines.clocks_in_use import clocks_in_use
+from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.stages.evaluate import true_masks
 from devrf.pipelines.trained_model import renderer
@@ -89,9 +89,8 @@ def late(run: Path, scene: Scene, truth_file: Path, offsets_s: Mapping[str, floa
     clocks, truth = clocks_in_use(run), read_truth(truth_file).clocks
     zero, ahead = truth[next(iter(clocks))], []
     for name in sorted({f.camera_name for f in scene.dynamic if f.split == "train"}):
-        said = Clock(float(clocks[name]["offset_s"]), float(clocks[name]["drift_ppm"])).true_time(0.0)
         true = zero.file_time(truth[name].true_time(0.0))
-        ahead.append(said + offsets_s.get(name, 0.0) - true)
+        ahead.append(clocks[name].true_time(0.0) + offsets_s.get(name, 0.0) - true)
     return float(np.median(ahead))
 
 

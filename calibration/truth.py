@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
+from devrf.calibration.clocks.equations import Clock
 from devrf.capture.arrays import ArrayError, read_npz
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
@@ -25,22 +26,6 @@ FARTHEST_M = 1e5  # of a camera from the origin
 LARGEST_OFFSET_S, LARGEST_DRIFT_PPM = 1e10, 1e5  # times since 1970 have ten digits
 
 Pose = Float[np.ndarray, "4 4"]
-
-
-@dataclass(frozen=True)
-class Clock:
-    """True time = offset_s + (1 + 1e-6 drift_ppm) * file time, on the first camera's clock."""
-
-    offset_s: float
-    drift_ppm: float
-
-    def true_time(self, file_time_s: float) -> float:
-        """Seconds on the first camera's clock."""
-        return self.offset_s + (1 + 1e-6 * self.drift_ppm) * file_time_s
-
-    def file_time(self, true_time_s: float) -> float:
-        """The inverse of `true_time`."""
-        return (true_time_s - self.offset_s) / (1 + 1e-6 * self.drift_ppm)
 
 
 @dataclass(frozen=True)

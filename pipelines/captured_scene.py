@@ -22,7 +22,7 @@ from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 from devrf.pipelines.clock_check import clock_check
-from devrf.pipelines.clocks import clock_dict, read_contradictions, read_sync
+from devrf.pipelines.clocks import clock_dict, read_clocks, read_contradictions
 from devrf.pipelines.health.box import box_health
 from devrf.pipelines.health.matte import matte_health
 from devrf.pipelines.health.rows import NO_PICTURE, HealthRow, left_out_row, note, of_test, without_refusal
@@ -164,8 +164,8 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
     Those of test cameras come after, each against the others, which stand.
     """
     if len(frames.moving) < 2:
-        return read_sync(context.run_dir) if frames.moving else {}
-    ingest, said = context.run_dir / "ingest", read_sync(context.run_dir)
+        return read_clocks(context.run_dir) if frames.moving else {}
+    ingest, said = context.run_dir / "ingest", read_clocks(context.run_dir)
     cameras = {name: camera.camera for name, camera in rig.cameras.items()}
     motion, contradictions = read_motion(ingest, frames), read_contradictions(context.run_dir)
     parts = 1 + len(frames.tests)
@@ -217,7 +217,7 @@ def _moving_frames(
     times: dict[str, list[tuple[int, Path, float]]] = {}
     for name, camera in frames.moving.items():
         times[name] = [
-            (f.index, ingest / f.file, float(clocks[name].true_time(np.array([f.time_s]))[0]))
+            (f.index, ingest / f.file, clocks[name].true_time(f.time_s))
             for f in camera.used
             if f.file is not None and f.time_s is not None
         ]

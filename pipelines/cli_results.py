@@ -82,9 +82,9 @@ def compare(
     runs: Annotated[
         list[Path], typer.Argument(help="Run folders, or scene.yaml; the others are held against the first")
     ],
-    out: Annotated[Path, typer.Option(help="Folder for compare.html")] = Path("compare"),
+    out: Annotated[Path, typer.Option(help="Folder for compare.json")] = Path("compare"),
     as_json: Annotated[
-        Path | None, typer.Option("--json", help="File for programs; default: compare.json beside the page")
+        Path | None, typer.Option("--json", help="File for programs; default: compare.json in --out")
     ] = None,
     quiet: QuietOption = False,
 ) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +29,22 @@ def curve_dict(lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"])
     return {"lags_s": [round(float(x), 6) for x in lags_s], "values": [round(float(x), 5) for x in values]}
 
 
-def read_clocks(path: Path) -> dict[str, tuple[float, float]]:
-    """Camera -> (offset_s, rate): true time = offset_s + rate * file time, on the first camera's clock.
+def read_clocks(run_dir: Path, joint: bool = False) -> dict[str, Clock]:
+    """The moving cameras' clocks as stage `sync` wrote them; empty where it did not.
 
-    Clips that only show the board have clocks of their own, under their own names. Empty without the file.
+    Args:
+        run_dir: The run folder.
+        joint: Also those of clips that only show the board, under the clips' own names.
     """
-    if not path.is_file():
-        return {}
-    content = json.loads(path.read_text())
-    clocks = {**content.get("joint", {}).get("cameras", {}), **content["cameras"]}
-    return {name: (c["offset_s"], 1 + 1e-6 * c["drift_ppm"]) for name, c in clocks.items()}
+    content = _content(run_dir / "sync" / "sync.json")
+    clips = content.get("joint", {}).get("cameras", {}) if joint else {}
+    return _clocks({**clips, **content.get("cameras", {})})
+
+
+def clocks_in_use(run_dir: Path) -> dict[str, Clock]:
+    """The clocks that gave the scene its times: those of stage `sync`, unless geometry replaced some of them."""
+    checked = _content(run_dir / "scene" / "clock_check.json")
+    return _clocks(checked["cameras"]) if checked else read_clocks(run_dir)
 
 
 def read_contradictions(run_dir: Path) -> dict[str | None, float | None]:
@@ -47,10 +54,13 @@ def read_contradictions(run_dir: Path) -> dict[str | None, float | None]:
     return {None: content.get("loop_s"), **tests}
 
 
-def read_sync(run_dir: Path) -> dict[str, Clock]:
-    """The moving cameras' clocks as stage `sync` wrote them."""
-    cameras = json.loads((run_dir / "sync" / "sync.json").read_text())["cameras"]
+def _content(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def _clocks(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Clock]:
+    """What `clock_dict` wrote of each."""
     return {
         name: Clock(**{**entry, "std_s": math.inf if entry["std_s"] is None else entry["std_s"]})
-        for name, entry in cameras.items()
+        for name, entry in entries.items()
     }

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from devrf.calibration.boards.calibrate import BoardCalibration
 from devrf.calibration.boards.find import BoardSpec, BoardView
+from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.board_route import weak_intrinsics
 from devrf.calibration.rigs.board_views import TimedView
@@ -44,7 +45,7 @@ def read_joint_views(
         HealthError: The board is never seen by a camera, or too seldom to calibrate it.
     """
     frames, spec = clips.frames, clips.spec
-    clocks = read_clocks(clips.run_dir / "sync" / "sync.json")
+    clocks = read_clocks(clips.run_dir, joint=True)
     views: dict[str, list[TimedView]] = {}
     start, known, own = dict(calibrated), dict(calibrated), {}
     for n, name in enumerate(names):
@@ -55,7 +56,7 @@ def read_joint_views(
 
         seen = clips.search(name, entry, spec if n else None, step)
         spec = seen.spec  # one board: as the clip before settled it
-        views[name] = _timed(seen.views, frames.cameras[entry], clocks.get(entry, (0.0, 1.0)))
+        views[name] = _timed(seen.views, frames.cameras[entry], clocks.get(entry, Clock(0.0, 0.0)))
         if name not in calibrated:
             own[name] = seen.calibration
             start[name] = own[name].intrinsics
@@ -63,7 +64,6 @@ def read_joint_views(
     return JointViews(spec, views, start, known, own)
 
 
-def _timed(seen: list[BoardView], clip: CameraFrames, clock: tuple[float, float]) -> list[TimedView]:
-    offset_s, rate = clock
+def _timed(seen: list[BoardView], clip: CameraFrames, clock: Clock) -> list[TimedView]:
     times = [frame.time_s for frame in clip.used if frame.file is not None]
-    return [TimedView(v, offset_s + rate * t) for v in seen if (t := times[v.frame]) is not None]
+    return [TimedView(v, clock.true_time(t)) for v in seen if (t := times[v.frame]) is not None]

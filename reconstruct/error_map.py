@@ -1,7 +1,7 @@
-"""Pictures of errors: where a rendered picture differs from the true one, and where it may."""
+"""Pictures of errors: where a rendered picture differs from the true one."""
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32
 
 ERROR_GAIN = 4  # an error of a quarter of the range is the brightest colour
 # matplotlib's colour map "inferno": every 15th of its 256 colours
@@ -9,8 +9,6 @@ INFERNO = (
     "0000040a07221e0c45380962510e6c69166e801f6c982766"
     "b0315bc63d4dd94d3de9612bf47918fa9407fcb014f8cd37f2ea69fcffa4"
 )
-# expected PSNR of the darkest and the brightest pixel of a confidence picture
-BLACK_DB, WHITE_DB = 10.0, 40.0
 
 
 def error_map(
@@ -25,9 +23,3 @@ def inferno(share: Float[np.ndarray, "height width"]) -> Float32[np.ndarray, "he
     table = np.frombuffer(bytes.fromhex(INFERNO), np.uint8).reshape(-1, 3) / 255
     at = np.linspace(0, 1, len(table))
     return np.stack([np.interp(share, at, channel) for channel in table.T], axis=-1).astype(np.float32)
-
-
-def confidence_picture(expected: Float[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
-    """Expected errors as grey: 0 for an expected PSNR of 10 dB or less, 255 (sure) for 40 dB or more, even in dB."""
-    db = -20 * np.log10(np.maximum(expected, 1e-6))
-    return np.clip(np.round(255 * (db - BLACK_DB) / (WHITE_DB - BLACK_DB)), 0, 255).astype(np.uint8)

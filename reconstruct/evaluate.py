@@ -15,7 +15,7 @@ import time as clock
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -26,17 +26,13 @@ from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.resize import shrink
 from devrf.capture.scene import PosedFrame, Scene, load_image
-from devrf.reconstruct.confidence_curve import curve, errors
-from devrf.reconstruct.error_map import confidence_picture, error_map
+from devrf.reconstruct.error_map import error_map
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
 from devrf.reconstruct.lpips_weights import Source
 from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, psnr
 from devrf.reconstruct.pictures import in_two, spread
 from devrf.reconstruct.still_picture import StillPicture, still_picture
-
-if TYPE_CHECKING:  # it needs torch
-    from devrf.reconstruct.confidence import Confidence
 
 Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]
 """`render(camera, time)`: RGB of a camera in the box frame at a time in [0, 1]; None: the scene at rest."""
@@ -78,7 +74,6 @@ def evaluate(
     lpips: LpipsNets,
     out: Path,
     progress: Progress = no_progress,
-    confidence: "Confidence | None" = None,
     masks: Mapping[str, Bool[np.ndarray, "frames h w"]] | None = None,
     unshaded: Render | None = None,
     test_clocks: Mapping[str, Mapping[str, Any]] | None = None,
@@ -90,9 +85,8 @@ def evaluate(
         scene: With its cameras in any frame; they are moved into the box frame here.
         render: The model.
         lpips: Networks for LPIPS.
-        out: Folder to write `views/<camera>/<index>_{true,rendered,rest,error,confidence}.png` into.
+        out: Folder to write `views/<camera>/<index>_{true,rendered,rest,error}.png` into.
         progress: Told how far it is.
-        confidence: Expected errors of the same model's pictures; None: nothing is said of them.
         masks: What moves in truth in a camera's pictures, by their numbers in its file, of any size.
         unshaded: The model without its shading; None: it has none.
         test_clocks: Of test cameras whose clocks are not known `offset_s`, seconds by which their pictures were taken
@@ -100,16 +94,14 @@ def evaluate(
         absent: Why the scene in motion has no test views, where it has none.
     Returns:
         `test`, `test_static`, `test_moving`, `test_rest`, `static_baseline`, `shading`, `per_view`, `still_pictures`,
-        `render_fps`; with `test_clocks` also `test_moving_retimed`; with `confidence` also `confidence`: `test`,
-        `test_static` and `test_moving`, expected errors against measured ones (`confidence_curve.curve`), of the
-        pictures that confidence is kept of.
+        `render_fps`; with `test_clocks` also `test_moving_retimed`.
     """
     scene = scene.in_box_frame()
     moving = sorted(
         (f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.camera_name, f.time or 0.0, f.index)
     )
     still = [f for f in scene.static if f.split == "test"]
-    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), confidence, unshaded)
+    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), unshaded)
     names = sorted({f.camera_name for f in moving})
     standing = {name: still_picture(scene, [f for f in moving if f.camera_name == name]) for name in names}
     masks = masks or {}
@@ -144,10 +136,6 @@ def evaluate(
     no_pixels = (
         absent if not moving else NO_STILL if not (later or at_rest) else "nothing moves in the test views"
     )
-    why = {"test": absent, "test_moving": no_pixels, "test_static": nothing_held_out}
-    curves = {name: curve(session.errors[name], why[name]) for name in why}
-    if not scene.dynamic:
-        curves["test"] = curves["test_static"]
     retimed, retimed_baseline = _retimed_blocks(views, lpips, test_clocks or {}, no_pixels)
     return {
         "test": test,
@@ -167,7 +155,6 @@ def evaluate(
             for view in at_rest
         ],
         "render_fps": session.frames_per_second(),
-        **({} if confidence is None else {"confidence": curves}),
     }
 
 
@@ -182,13 +169,11 @@ class _Session:
         out: Path,
         progress: Progress,
         count: int,
-        confidence: "Confidence | None",
         unshaded: Render | None,
     ) -> None:
         self.scene, self.render, self.lpips, self.out = scene, render, lpips, out
         self.progress, self.count, self.done = progress, count, 0
-        self.confidence, self.unshaded = confidence, unshaded
-        self.errors: dict[str, list[np.ndarray]] = {"test": [], "test_moving": [], "test_static": []}
+        self.unshaded = unshaded
         self.seconds: list[float] = []
         self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
 
@@ -206,7 +191,7 @@ class _Session:
         """
         true, camera = self._true(frame)
         rest = self._at_rest(camera)
-        rendered, expected = self._timed(camera, frame.time, extra)
+        rendered = self._timed(camera, frame.time)
         true_features = self._features(true)
         moved, stood = Comparison(rendered, true), Comparison(rest, true)
         view = {
@@ -232,14 +217,9 @@ class _Session:
                     view["moving"]["psnr"],
                     psnr(self.unshaded(camera, frame.time)[where], true[where]),
                 )
-            if expected is not None:
-                self.errors["test_moving"].append(errors(expected, rendered, true, where))
         pictures = {"true": true, "rendered": rendered}
         if extra:
             pictures |= {"rest": rest, "error": error_map(rendered, true)}
-        if expected is not None:
-            self.errors["test"].append(errors(expected, rendered, true))
-            pictures["confidence"] = confidence_picture(expected)
         view["files"] = self._save(frame, pictures)
         return view
 
@@ -259,13 +239,10 @@ class _Session:
     def still_view(self, frame: PosedFrame, extra: bool) -> dict[str, Any]:
         """Scores of a held-out sweep picture."""
         true, camera = self._true(frame)
-        rendered, expected = self._timed(camera, None, extra)
+        rendered = self._timed(camera, None)
         pictures = {"true": true, "rendered": rendered}
         if extra:
             pictures["error"] = error_map(rendered, true)
-        if expected is not None:
-            self.errors["test_static"].append(errors(expected, rendered, true))
-            pictures["confidence"] = confidence_picture(expected)
         return {
             **_identity(frame),
             "scores": _scored(Comparison(rendered, true).whole())
@@ -289,16 +266,12 @@ class _Session:
             self.rest = (camera.view, self.render(camera, None))
         return self.rest[1]
 
-    def _timed(self, camera: Camera, time: float | None, extra: bool) -> tuple[np.ndarray, np.ndarray | None]:
-        """A picture and, where one is kept, its expected errors; only rendering is timed."""
+    def _timed(self, camera: Camera, time: float | None) -> np.ndarray:
+        """A picture; only rendering is timed."""
         begin = clock.perf_counter()
-        if self.confidence is None or not extra:
-            rendered = self.render(camera, time)
-            self.seconds.append(clock.perf_counter() - begin)
-            return rendered, None
-        layers = self.confidence.render(camera, time)
+        rendered = self.render(camera, time)
         self.seconds.append(clock.perf_counter() - begin)
-        return layers[0], self.confidence.expected(camera, time, layers)
+        return rendered
 
     def _features(self, picture: np.ndarray) -> dict[str, Any]:
         if min(picture.shape[:2]) < LPIPS_SMALLEST_SIDE:
@@ -317,8 +290,7 @@ class _Session:
         files = {}
         for kind, picture in pictures.items():
             path = folder / f"{frame.index:06d}_{kind}.png"
-            exact = picture if picture.dtype == np.uint8 else np.clip(np.round(picture * 255), 0, 255)
-            write_png(path, exact.astype(np.uint8))
+            write_png(path, np.clip(np.round(picture * 255), 0, 255).astype(np.uint8))
             files[kind] = path.relative_to(self.out).as_posix()
         return files
 

@@ -8,7 +8,7 @@ o_a + r_a f_a = o_b + r_b f_b.
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +26,7 @@ OUTLIER_S = {"audio": 1e-3}  # sound travels 0.34 m in 1 ms: less is no contradi
 
 @dataclass(frozen=True)
 class Clock:
-    """One camera's clock.
+    """One camera's clock; where nothing else is said, one that is known exactly.
 
     Attributes:
         offset_s, drift_ppm: true time = offset_s + (1 + 1e-6 drift_ppm) * file time.
@@ -38,14 +38,24 @@ class Clock:
 
     offset_s: float
     drift_ppm: float
-    std_s: float
-    method: Cue
-    confidence: float
-    basis: str
+    std_s: float = 0.0
+    method: Cue = "reference"
+    confidence: float = 1.0
+    basis: str = ""
 
-    def true_time(self, file_time_s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    @overload
+    def true_time(self, file_time_s: float) -> float: ...
+
+    @overload
+    def true_time(self, file_time_s: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]: ...
+
+    def true_time(self, file_time_s: float | Float[np.ndarray, "*n"]) -> float | Float[np.ndarray, "*n"]:
         """True times of file times, seconds."""
         return self.offset_s + (1 + 1e-6 * self.drift_ppm) * file_time_s
+
+    def file_time(self, true_time_s: float) -> float:
+        """The inverse of `true_time`."""
+        return (true_time_s - self.offset_s) / (1 + 1e-6 * self.drift_ppm)
 
 
 @dataclass(frozen=True)

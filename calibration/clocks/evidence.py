@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.clocks import sound_faults
 from devrf.calibration.clocks.equations import Equation, PairCue, groups
 from devrf.calibration.clocks.flash import Brightness, Flashes, find_flashes, flash_delay
 from devrf.calibration.clocks.motion import MotionDelay, motion_delay
@@ -65,16 +64,6 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Jump:
-    """A step in the delay between two clips: a camera lost pictures or sound there."""
-
-    first: str
-    second: str
-    at_s: float
-    step_s: float
-
-
-@dataclass(frozen=True)
 class Extras:
     """What else is known of the clips; every part may be missing.
 
@@ -105,7 +94,6 @@ class Evidence:
     checks: list[Equation] = field(default_factory=list)  # not needed for the clocks
     comparisons: list[Comparison] = field(default_factory=list)
     curves: list[Curve] = field(default_factory=list)
-    jumps: list[Jump] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def accepted(self, *cues: PairCue) -> list[Equation]:
@@ -120,8 +108,6 @@ class Evidence:
 def hear(names: Sequence[str], sounds: Mapping[str, Sound], out: Evidence, progress: Progress) -> None:
     """Compare the sound of every pair."""
     heard = [n for n in names if n in sounds]
-    new = [n for n in heard if n not in out.known]
-    out.notes += [f"camera {n}: {text}" for n in new if (text := sound_faults.wind(sounds[n]))]
     pairs = out.pairs(heard)
     for i, (a, b) in enumerate(pairs):
         progress(i / len(pairs), f"sound of {a} and {b}")
@@ -132,15 +118,11 @@ def hear(names: Sequence[str], sounds: Mapping[str, Sound], out: Evidence, progr
         c = found.correlation
         out.curves.append(Curve(a, b, "audio", c.delay_s, c.ratio, found.accepted, c.lags_s, c.values))
         if not found.accepted:
-            why = sound_faults.beat(c)
+            why = "" if c.beat_s is None else f" (beat every {c.beat_s:.2f} s: ambiguous)"
             out.notes.append(
                 f"{a} and {b}: sound not trusted, its peak is {c.ratio:.1f} times the next one, expected "
-                f"{ACCEPT_RATIO:.0f}" + (f" ({why})" if why else "")
+                f"{ACCEPT_RATIO:.0f}{why}"
             )
-        elif text := sound_faults.echo(c):
-            out.notes.append(f"{a} and {b}: {text}")
-        if found.accepted and (jump := sound_faults.step(found.moments)):
-            out.jumps.append(Jump(a, b, *jump))
         out.equations += _sound_equations(a, b, found, found.accepted)
 
 

@@ -33,7 +33,6 @@ from devrf.calibration.clocks.evidence import (
     Curve,
     Evidence,
     Extras,
-    Jump,
     hear,
     hear_again,
     see_flashes,
@@ -71,7 +70,6 @@ class SyncResult:
         loop_s: Largest disagreement of a pair with the solution, seconds; None without spare pairs.
         loops: Closure of every triple of cameras whose pairs were all compared.
         comparisons: Independent cues beside the ones that were used.
-        jumps: Steps in the delay between long clips.
         notes: What was decided and why, one sentence each.
     """
 
@@ -80,7 +78,6 @@ class SyncResult:
     loop_s: float | None = None
     loops: tuple[Loop, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
-    jumps: tuple[Jump, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -243,7 +240,6 @@ def _settle(
         loop_s,
         tuple(believed),
         (*evidence.comparisons, *_against_motion(solution, evidence.checks)),
-        tuple(evidence.jumps),
         tuple(dict.fromkeys(notes)),
     )
 
@@ -339,11 +335,8 @@ def _against_motion(solution: Solution, checks: Sequence[Equation]) -> list[Comp
     out = []
     for e in checks:
         if e.accepted and e.a in solution.offset_s and e.b in solution.offset_s:
-            at = {
-                n: solution.offset_s[n] + (1 + 1e-6 * solution.drift_ppm[n]) * t
-                for n, t in ((e.a, e.a_s), (e.b, e.b_s))
-            }
-            difference_s = at[e.a] - at[e.b]
+            a, b = (Clock(solution.offset_s[n], solution.drift_ppm[n]) for n in (e.a, e.b))
+            difference_s = a.true_time(e.a_s) - b.true_time(e.b_s)
             out.append(Comparison(e.a, e.b, "audio", "motion", difference_s, MOTION_SIGMAS * e.std_s))
     return out
 

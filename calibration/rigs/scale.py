@@ -15,7 +15,6 @@ from devrf.calibration.bundle.adjust import adjust
 from devrf.calibration.bundle.problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.rig import Scale
-from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import similarity
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import closest_point
@@ -139,11 +138,3 @@ def combined(found: list[Scale]) -> Scale:
     weight = agree / std**2
     source = "; ".join(s.source for s, a in zip(found, agree, strict=True) if a)
     return Scale(True, source, float(weight @ factors / weight.sum()), float(weight.sum() ** -0.5))
-
-
-def scale_from_gps(model: SweepModel) -> Scale | None:
-    """Scale from where photos say they were taken; None where the sweep does not fit to enough such places."""
-    gps = model.report.get("gps")
-    if gps is None or gps["why"] is not None:
-        return None
-    return Scale(True, f"GPS of {gps['agreeing']} pictures", gps["factor"], gps["factor_std"])

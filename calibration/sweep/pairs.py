@@ -1,4 +1,4 @@
-"""Which pictures of a sweep are matched, in the order of their worth, and what that costs.
+"""Which pictures of a sweep are matched, in the order of their worth.
 
 A film's neighbours overlap, so a long film needs its neighbours, jumps of growing length, and a sample of
 far pairs that closes loops; the other pairs are matched only where the result is weak. Photos need all
@@ -6,7 +6,6 @@ pairs. Where time does not allow that, the list is cut at its end: nearest first
 else in the order they were taken.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,29 +52,3 @@ def plan_pairs(names: list[str], ordered: bool, places: Float[np.ndarray, "n 3"]
     pairs = [(names[i], names[j]) for i, j in zip(first[order].tolist(), second[order].tolist(), strict=True)]
     everything = not ordered or n <= EXHAUSTIVE_UP_TO
     return PairPlan(pairs, len(pairs) if everything else int((rank < 3).sum()))
-
-
-def affordable(pairs: list[Pair], features: Mapping[str, int], s_per_product: float, budget_s: float) -> int:
-    """How many of the first pairs can be matched in time.
-
-    Args:
-        pairs: In the order they would be matched.
-        features: Of each picture; brute-force matching compares each with each.
-        s_per_product: Seconds per comparison, measured on this machine.
-        budget_s: What there is.
-    """
-    return int((_cost_s(pairs, features, s_per_product).cumsum() <= budget_s).sum())
-
-
-def matching_s(pairs: list[Pair], features: Mapping[str, int], s_per_product: float) -> float:
-    """Estimated seconds for matching these pairs."""
-    return float(_cost_s(pairs, features, s_per_product).sum())
-
-
-def products(pairs: list[Pair], features: Mapping[str, int]) -> float:
-    """Comparisons of descriptors that these pairs take; at least one each."""
-    return float(_cost_s(pairs, features, 1.0).sum())
-
-
-def _cost_s(pairs: list[Pair], features: Mapping[str, int], s_per_product: float) -> np.ndarray:
-    return np.array([max(1, features.get(a, 0) * features.get(b, 0)) * s_per_product for a, b in pairs])

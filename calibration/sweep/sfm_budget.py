@@ -1,16 +1,17 @@
-"""Time of structure from motion: what is left of it, and how many pairs can be matched in it."""
+"""Time of structure from motion: what is left of it, and the pairs that are matched in it."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
-from devrf.calibration.sweep.pairs import Pair, affordable, matching_s, products
+from devrf.calibration.sweep.pairs import Pair
 
-MATCH_PROBE = 32  # pairs whose time tells what the others will take
 MATCH_SHARE = 0.5  # of the time that is left; mapping takes about as long
+CHUNK = 128  # pairs between two looks at the deadline
+GO_ON_S = 900.0  # for pairs that were not wanted at first: all of a long film's may take hours
 
 
-class Clock:
+class Deadline:
     """What is left of a time budget."""
 
     def __init__(self, budget_s: float | None) -> None:
@@ -25,31 +26,23 @@ class Matching:
     """Pairs matched from the front of the list, as far as they are wanted and time allows."""
 
     def __init__(
-        self,
-        pairs: list[Pair],
-        wanted: int,
-        features: Mapping[str, int],
-        match: Callable[[list[Pair]], None],
-        clock: Clock,
+        self, pairs: list[Pair], wanted: int, match: Callable[[list[Pair]], None], deadline: Deadline
     ) -> None:
-        """`pairs` by worth, of which the first `wanted` are wanted; `features` of each picture; `match` does it."""
-        self.pairs, self.wanted, self.features = pairs, wanted, features
-        self._match, self._clock = match, clock
-        self.matched, self.seconds, self.s_per_product = 0, 0.0, 0.0
+        """`pairs` by worth, of which the first `wanted` are wanted; `match` does it."""
+        self.pairs, self.wanted = pairs, wanted
+        self._match, self._deadline = match, deadline
+        self.matched, self.seconds = 0, 0.0
 
     def begin(self) -> None:
-        """Measure on the first pairs, then match what is wanted and affordable."""
-        self._match_until(min(MATCH_PROBE, self.wanted))
-        self.s_per_product = self.seconds / max(1.0, products(self.pairs[: self.matched], self.features))
-        self._match_until(min(self.wanted, self._room()))
+        """Match what is wanted, as far as time allows."""
+        self._match_until(self.wanted, float("inf"))
 
     def go_on(self) -> bool:
         """Match pairs that were not wanted at first; whether there were any and time for them."""
-        room = self._room()
-        if self.matched < self.wanted or room <= self.matched:
-            return False
-        self._match_until(room)
-        return True
+        before = self.matched
+        if self._deadline.left_s() > 0 and before == self.wanted:
+            self._match_until(len(self.pairs), GO_ON_S)
+        return self.matched > before
 
     def report(self) -> dict[str, Any]:
         """For `static_poses.json`."""
@@ -59,21 +52,18 @@ class Matching:
             "wanted": self.wanted,
             "matched": self.matched,
             "seconds": self.seconds,
-            "wanted_s": matching_s(self.pairs[: self.wanted], self.features, self.s_per_product),
             "first_skipped": list(rest[0]) if rest else None,
         }
 
-    def _room(self) -> int:
-        rest = self.pairs[self.matched :]
-        if self._clock.left_s() == float("inf"):
-            return len(self.pairs)
-        budget_s = MATCH_SHARE * self._clock.left_s()
-        return self.matched + affordable(rest, self.features, self.s_per_product, budget_s)
-
-    def _match_until(self, count: int) -> None:
-        if count <= self.matched:
-            return
+    def _match_until(self, count: int, most_s: float) -> None:
+        """Match up to a place in the list, or until time is up, but some in any case."""
+        least_left_s = MATCH_SHARE * self._deadline.left_s()
+        chunk = count if most_s == self._deadline.left_s() == float("inf") else CHUNK
         start = time.monotonic()
-        self._match(self.pairs[self.matched : count])
+        while self.matched < count:
+            end = min(self.matched + chunk, count)
+            self._match(self.pairs[self.matched : end])
+            self.matched = end
+            if time.monotonic() - start >= most_s or self._deadline.left_s() <= least_left_s < float("inf"):
+                break
         self.seconds += time.monotonic() - start
-        self.matched = count

@@ -1,23 +1,17 @@
-"""Which model of a sweep is kept: mappers tried one after the other within a time budget, and compared.
+"""Which model of a sweep is kept: mappers tried one after the other within a time budget.
 
 Part of the worker's process; models are pycolmap's, which only `sfm_worker` imports.
 """
 
 import time
-from collections import abc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
-from devrf.calibration.sweep.sfm_budget import Clock
-from devrf.calibration.truth import rotation_angle_deg
+from devrf.calibration.sweep.sfm_budget import Deadline
 from devrf.capture.progress import Progress
 
 MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
-ROUNDS = 10  # of reweighting; the common turn is found when most pictures agree
 GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs
 
 Reconstruction = Any  # pycolmap's
@@ -31,17 +25,22 @@ class Mapping:
     is torn least, then the one with the lowest error."""
 
     def __init__(
-        self, attempt: Attempt, torn: Torn, work: Path, pictures: int, clock: Clock, progress: Progress
+        self, attempt: Attempt, torn: Torn, work: Path, pictures: int, deadline: Deadline, progress: Progress
     ) -> None:
         """`attempt` maps once, into a folder below `work`; `pictures` are all there are."""
-        self.attempt, self.torn, self.work, self.pictures, self.clock = attempt, torn, work, pictures, clock
+        self.attempt, self.torn, self.work, self.pictures, self.deadline = (
+            attempt,
+            torn,
+            work,
+            pictures,
+            deadline,
+        )
         self.progress = progress
         self.best: Reconstruction | None = None
         self.best_torn = 0
         self.models: list[Reconstruction] = []  # of the best attempt, largest first
         self.name: str | None = None
         self.attempts: list[dict[str, Any]] = []
-        self.compared: list[dict[str, Any]] = []
 
     @property
     def registered(self) -> int:
@@ -56,37 +55,33 @@ class Mapping:
     def climb(self, ladder: list[dict[str, Any]]) -> None:
         """Try one rung after the other until one registers its share of the pictures, or time is up."""
         for rung in ladder:
-            if self.best is not None and self.clock.left_s() <= 0:
+            if self.best is not None and self.deadline.left_s() <= 0:
                 break
             self._try(rung)
             if self.registered >= rung["accept"] * self.pictures:
                 break
 
-    def other_mapper(self, rule: str, ladder: list[dict[str, Any]]) -> dict[str, Any] | None:
-        """The rung of the mapper that was not tried, where it should be and there is time for it.
+    def other_mapper(self, both: bool, ladder: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rung of the mapper that was not tried, where it should be and there is time for it, else none.
 
         Args:
-            rule: `always`, or `weak`: only where pictures are missing from the best model, or it is torn.
+            both: It should be; else only where pictures are missing from the best model, or it is torn.
             ladder: All rungs.
         """
         tried = {attempt["mapper"] for attempt in self.attempts}
         weak = self.registered < self.pictures or self.best_torn > 0
-        if not (weak or rule == "always") or GLOBAL_COST * self.seconds >= self.clock.left_s():
-            return None
-        return next((rung for rung in ladder if rung["mapper"] not in tried), None)
-
-    def compare(self, rung: dict[str, Any]) -> None:
-        """Map once more, note how far the poses differ, and keep the better model."""
-        self._try(rung, against=True)
+        if not (weak or both) or GLOBAL_COST * self.seconds >= self.deadline.left_s():
+            return []
+        return [rung for rung in ladder if rung["mapper"] not in tried][:1]
 
     def report(self) -> dict[str, Any]:
         """For `static_poses.json`."""
-        return {"mapper": self.name, "attempts": self.attempts, "compared": self.compared}
+        return {"mapper": self.name, "attempts": self.attempts}
 
-    def _try(self, rung: dict[str, Any], against: bool = False) -> None:
+    def _try(self, rung: dict[str, Any]) -> None:
         name = rung["name"]
         self.progress(0.7, f"mapping ({name})")
-        start, left = time.monotonic(), self.clock.left_s()
+        start, left = time.monotonic(), self.deadline.left_s()
         folder = self.work / f"attempt{len(self.attempts)}"
         folder.mkdir()
         models = self.attempt(folder, rung, left)
@@ -106,37 +101,10 @@ class Mapping:
         )
         if torn is None:
             return
-        if against and self.best is not None:
-            apart = disagreement_deg(_poses(self.best), _poses(models[0]))
-            torn_by_both = [torn, self.best_torn]
-            self.compared.append(
-                {"name": name, "against": self.name, "torn": torn_by_both, "apart_deg": apart}
-            )
         if self.best is None or _worth(models[0], torn) > _worth(self.best, self.best_torn):
             self.best, self.best_torn, self.models, self.name = models[0], torn, models, name
-
-
-def disagreement_deg(
-    first: abc.Mapping[str, Float[np.ndarray, "3 4"]], second: abc.Mapping[str, Float[np.ndarray, "3 4"]]
-) -> dict[str, float]:
-    """Angle between both `cam_from_world` of each picture after the one turn that suits most of them, degrees."""
-    names = sorted(set(first) & set(second))
-    if not names:
-        return {}
-    between = np.array([first[n][:, :3].T @ second[n][:, :3] for n in names])  # first world from second world
-    weights, turn = np.ones(len(names)), np.eye(3)
-    for _ in range(ROUNDS):
-        U, _, Vt = np.linalg.svd((weights[:, None, None] * between).sum(0))
-        turn = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-        off = np.linalg.norm(between - turn, axis=(1, 2))
-        weights = 1 / np.maximum(off, 1e-6)  # least absolute chords: single pictures do not turn all others
-    return {n: rotation_angle_deg(b, turn) for n, b in zip(names, between, strict=True)}
 
 
 def _worth(model: Reconstruction, torn: int = 0) -> tuple[int, int, float]:
     """A small model can look perfect: pictures count first, the error only among equals."""
     return model.num_reg_images(), -torn, -model.compute_mean_reprojection_error()
-
-
-def _poses(model: Reconstruction) -> dict[str, np.ndarray]:
-    return {i.name: i.cam_from_world().matrix() for i in model.images.values() if i.has_pose}

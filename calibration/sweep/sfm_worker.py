@@ -13,7 +13,6 @@ import zlib  # noqa: F401, I001  must stay the first import, see above
 import copy
 import json
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ import numpy as np
 import pycolmap
 
 from devrf.calibration.sweep.pairs import Pair
-from devrf.calibration.sweep.sfm_budget import Clock, Matching
+from devrf.calibration.sweep.sfm_budget import Deadline, Matching
 from devrf.calibration.sweep.sfm_mapping import Mapping
 from devrf.calibration.sweep.sfm_output import (
     best_pair,
@@ -44,8 +43,6 @@ POLISH_ITERATIONS = 200  # 20 to 40 are usual
 # without them (ten captures).
 PLAIN_LENS = 1.002
 FULL, PLAIN = pycolmap.CameraModelId.OPENCV, pycolmap.CameraModelId.RADIAL
-EXTRACT_PROBE = 4  # pictures whose time tells what the others will take
-EXTRACT_SHARE = 0.4  # of the time that is left; matching and mapping take about as long
 
 
 def main(job_file: Path) -> None:
@@ -61,7 +58,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     The order import -> extract -> match -> map with fixed seeds, and mapping on one thread, gives the same
     model every time, as long as the time budget (`job["budget_s"]`) cuts nothing short.
     """
-    work, clock = Path(job["work"]), Clock(job["budget_s"])
+    work, deadline = Path(job["work"]), Deadline(job["budget_s"])
     database = work / "database.db"
     pycolmap.Database.open(str(database)).close()
     names = [name for group in job["groups"] for name in group["names"]]
@@ -69,13 +66,11 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     if job["places"]:
         _write_places(database, job["places"])
     _say(0.02, f"features of {len(names)} pictures")
-    skipped = _extract_in_time(database, job, names, clock)
-    pairs = [pair for pair in job["pairs"] if not skipped.intersection(pair)]
-    wanted = len(pairs) if len(pairs) < len(job["pairs"]) else job["wanted"]
+    _extract(database, job, names)
     with pycolmap.Database.open(str(database)) as db:
         counts = features_per_image(db)
-    matching = Matching(pairs, wanted, counts, lambda some: _match(database, job, some), clock)
-    _say(0.35, f"matching {wanted} pairs")
+    matching = Matching(job["pairs"], job["wanted"], lambda some: _match(database, job, some), deadline)
+    _say(0.35, f"matching {job['wanted']} pairs")
     matching.begin()
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
 
@@ -90,15 +85,14 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
         found = against_model(read_two_views(work / "two_views.npz"), cameras_of(model))
         return len(torn_apart(sorted(names), found["contradicting"]))
 
-    mapping = Mapping(attempt, torn, work, len(names), clock, _say)
+    mapping = Mapping(attempt, torn, work, len(names), deadline, _say)
     mapping.climb(job["ladder"])
-    if mapping.registered < len(names) - len(skipped) and matching.go_on():
+    if mapping.registered < len(names) and matching.go_on():
         mapping.climb(job["ladder"][:1])
     with pycolmap.Database.open(str(database)) as db:
         pair = best_pair(db, _images_of)
     out: dict[str, Any] = {
         "given": len(names),
-        "skipped_pictures": sorted(skipped),
         "best_pair": pair,
         "pairs": matching.report(),
         "features_per_image": counts,
@@ -108,25 +102,11 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
         with pycolmap.Database.open(str(database)) as db:
             write_two_views(db, _images_of, _kind, Path(job["out"]))
         return out | mapping.report()
-    other = mapping.other_mapper(job["compare"], job["ladder"])
-    if other is not None:
+    if other := mapping.other_mapper(job["both"], job["ladder"]):
         # global mapping has no limit of its own: leave what there is
         _leave(job, out | _publish(mapping, database, job, None))
-        mapping.compare(other)
+        mapping.climb(other)
     return out | _publish(mapping, database, job, held)
-
-
-def _extract_in_time(database: Path, job: dict[str, Any], names: list[str], clock: Clock) -> set[str]:
-    """Features of all pictures, or of evenly spaced ones where there is no time for all; those left out."""
-    probe, rest = names[:EXTRACT_PROBE], names[EXTRACT_PROBE:]
-    start, allowed = time.monotonic(), EXTRACT_SHARE * clock.left_s()
-    _extract(database, job, probe)
-    each_s = (time.monotonic() - start) / len(probe)
-    room = max(0, int(min(len(rest), allowed / each_s - len(probe)))) if allowed < float("inf") else len(rest)
-    kept = [rest[i * len(rest) // room] for i in range(room)]
-    if kept:
-        _extract(database, job, kept)
-    return set(rest) - set(kept)
 
 
 def _publish(mapping: Mapping, database: Path, job: dict[str, Any], held: set[int] | None) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from devrf.calibration.sweep.devices import PRINCIPAL_POINT_FROM, DeviceGroup
-from devrf.calibration.sweep.gps import UP_STD, align, local_metres, why_not
+from devrf.calibration.sweep.gps import UP_STD, local_metres, why_not
 from devrf.calibration.sweep.pairs import plan_pairs
 from devrf.calibration.sweep.sfm_output import camera_at
 from devrf.calibration.sweep.sfm_process import run_job
@@ -37,7 +37,6 @@ MAX_FEATURES = 1600  # per picture; orientation copies come on top; matching tim
 FINE_OCTAVE_BELOW = 720
 FEWEST_SIGHTINGS = 2  # of a point, for its place
 MIN_MODEL = 3  # two pictures always fit each other; such a model says nothing
-COMPARE_UP_TO = 30  # pictures; the other mapper then takes seconds
 HOMOGRAPHY_SHARE = 0.8  # of verified pairs; in a sweep with depth and sideways motion most have a parallax
 OVERLAY_SHARE = 0.5  # of verified pairs; what does not move then hides the rest
 # the worker keeps its time budget itself; it is stopped at 1.2 times that and a minute
@@ -57,14 +56,14 @@ class SweepOptions:
 
     Attributes:
         mapper: Which mapper to begin with; `both`: run both and keep the better model.
-        time_minutes: Budget; None for none.
+        time_s: Budget, seconds; None for none.
         threads: Pictures whose features are found at once, and pairs that are matched at once; None: one per core.
             They change no result.
         side_px: Longer side to which larger pictures are reduced before features are found.
     """
 
     mapper: Mapper = "incremental"
-    time_minutes: float | None = 30.0
+    time_s: float | None = None
     threads: int | None = None
     side_px: int = MAX_IMAGE_SIZE
 
@@ -153,13 +152,11 @@ def recover_static_poses(
         text = f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer"
         raise CalibrationError("sweep-too-short", text)
     metres, std_m = local_metres(places or {})
-    no_gps = why_not(metres, std_m, len(names))
+    if why_not(metres, std_m, len(names)):
+        metres = {}
     nowhere = np.full(3, np.nan)
-    plan = plan_pairs(
-        names, ordered, None if no_gps else np.array([metres.get(name, nowhere) for name in names])
-    )
+    plan = plan_pairs(names, ordered, np.array([metres.get(n, nowhere) for n in names]) if metres else None)
     first = "global" if options.mapper == "global" else "incremental"
-    budget_s = None if options.time_minutes is None else 60.0 * options.time_minutes
     with tempfile.TemporaryDirectory(dir=out, prefix="work-") as work:
         result = run_job(
             {
@@ -168,7 +165,7 @@ def recover_static_poses(
                 "image_path": str(image_folder),
                 "mask_path": None if masks is None else str(masks),
                 "groups": [_worker_group(group) for group in groups],
-                "places": {} if no_gps else {n: _prior(metres[n], std_m[n]) for n in metres},
+                "places": {n: _prior(metres[n], std_m[n]) for n in metres},
                 "film": ordered,
                 "pairs": plan.pairs,
                 "wanted": plan.wanted,
@@ -177,24 +174,23 @@ def recover_static_poses(
                 ),
                 "threads": options.threads,
                 "ladder": sorted(LADDER, key=lambda rung: rung["mapper"] != first),
-                "compare": "always" if options.mapper == "both" or len(names) <= COMPARE_UP_TO else "weak",
+                "both": options.mapper == "both",
                 "principal_point_from": PRINCIPAL_POINT_FROM,
-                "budget_s": budget_s,
+                "budget_s": options.time_s,
                 "out": work,
             },
             Path(work),
             out / "colmap.log",
             progress,
-            None if budget_s is None else LATE * budget_s + LATE_S,
+            None if options.time_s is None else LATE * options.time_s + LATE_S,
         )
         views = read_two_views(Path(work) / "two_views.npz")
         _refuse_unregistered(result, kinds_report(views), len(names))
         for made in ("colmap", "points.npz"):
             shutil.move(str(Path(work) / made), out / made)
     report = {key: result[key] for key in (
-        "given", "mean_reprojection_px", "mean_track_length", "points", "mapper", "attempts", "compared",
-        "adjustment", "stopped", "skipped_pictures", "pairs", "best_pair", "features_per_image", "frames",
-        "cameras",
+        "given", "mean_reprojection_px", "mean_track_length", "points", "mapper", "attempts", "adjustment",
+        "stopped", "pairs", "best_pair", "features_per_image", "frames", "cameras",
     )}  # fmt: skip
     report["registered"] = len(result["frames"])
     report["models"] = [len(model) for model in result["models"]]
@@ -206,7 +202,6 @@ def recover_static_poses(
     registered = dict(zip(model.names, model.cameras, strict=True))
     report["verified_pairs"] = kinds_report(views) | against_model(views, registered)
     report["torn"] = torn_apart(names, report["verified_pairs"]["contradicting"]) if ordered else []
-    report["gps"] = _gps(model, metres, std_m, no_gps) if places else None
     report["median_triangulation_angle_deg"] = median_triangulation_angle_deg(model)
     report["points_per_image"] = {
         name: int(n)
@@ -285,30 +280,6 @@ def _starts(groups: list[DeviceGroup], result: dict[str, Any]) -> list[dict[str,
     ]
 
 
-def _gps(
-    model: SweepModel, metres: Mapping[str, np.ndarray], std_m: Mapping[str, float], no_gps: str
-) -> dict[str, Any]:
-    """How the model lies among its pictures' places; `why` where it cannot be said."""
-    at = [n for n, name in enumerate(model.names) if name in metres]
-    out: dict[str, Any] = {"places": len(at), "why": no_gps or None}
-    if no_gps:
-        return out
-    names = [model.names[n] for n in at]
-    std = np.array([std_m[name] for name in names])
-    fit = align(np.array([model.cameras[n].centre for n in at]), np.array([metres[n] for n in names]), std)
-    out["std_m"] = float(np.median(std))
-    if fit is None:
-        return out | {"why": "no position of the model agrees with enough of the places"}
-    return out | {
-        "factor": fit.factor,
-        "factor_std": fit.factor_std,
-        "metres_from_model": fit.metres_from_model.tolist(),
-        "agreeing": int(fit.used.sum()),
-        "rms_m": fit.rms_m,
-        "off_m": dict(zip(names, fit.off_m.tolist(), strict=True)),
-    }
-
-
 def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: int) -> None:
     largest = max((len(model) for model in result["models"]), default=0)
     if largest >= MIN_MODEL:
@@ -317,8 +288,7 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
     median = float(np.median(list(features.values()))) if features else 0.0
     what = "two pictures always fit each other, so this says nothing" if largest else "nothing to start from"
     angle = "" if pair["angle_deg"] is None else f" and {pair['angle_deg']:.1f} degrees"
-    late = result["skipped_pictures"] or any(attempt["out_of_time"] for attempt in result["attempts"])
-    code, cause = _cause(pairs, bool(late))
+    code, cause = _cause(pairs, any(attempt["out_of_time"] for attempt in result["attempts"]))
     best = f"{pair['inliers']} inliers{angle} {' - '.join(pair['names'])}, need 100 and 16 degrees"
     found = f"the sweep could not be registered: {largest} of {given} pictures ({what}); best pair: {best}"
     seen = f"between views (50 and 4 were tried too); {median:.0f} features per picture in the median"
@@ -328,7 +298,7 @@ def _refuse_unregistered(result: dict[str, Any], pairs: dict[str, Any], given: i
 def _cause(pairs: dict[str, Any], late: bool) -> tuple[str, str]:
     """The code of the likeliest reason why nothing was registered, and its text with a remedy."""
     if late:
-        remedy = "raise calibration.static_poses.time_minutes, or use fewer pictures"
+        remedy = "raise budget.time_minutes, or use fewer pictures"
         return "sweep-out-of-time", f"There was not enough time: {remedy}"
     if pairs["watermark_share"] > OVERLAY_SHARE:
         return (

@@ -64,9 +64,9 @@ class ComparedRun:
             merged |= at(stamp, "identity.config") or {}
         return merged
 
-    def picture(self, key: ViewKey, kind: str) -> np.ndarray | None:
-        """A picture of a view (`true`, `rendered`), uint8 RGB [H, W, 3]; None where it is not there."""
-        file = (self.views[True].get(key) or self.views[False].get(key) or {}).get(kind)
+    def true_picture(self, key: ViewKey) -> np.ndarray | None:
+        """What was filmed in a view, uint8 RGB [H, W, 3]; None where it is not there."""
+        file = (self.views[True].get(key) or self.views[False].get(key) or {}).get("true")
         return read_picture(self.folder.path / "evaluate" / file) if isinstance(file, str) else None
 
 
@@ -113,7 +113,7 @@ def limits_of(base: ComparedRun, other: ComparedRun) -> tuple[str | None, list[s
                 f"{both}: {len(shared)} of {len(a)} and {len(b)} {what} are the same; only those are compared"
             )
     for key in evenly(common, LOOKED_AT):
-        a, b = base.picture(key, "true"), other.picture(key, "true")
+        a, b = base.true_picture(key), other.true_picture(key)
         if a is None or b is None:
             continue
         size = min(a.shape[1], b.shape[1]), min(a.shape[0], b.shape[0])

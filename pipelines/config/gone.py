@@ -36,8 +36,9 @@ GONE: dict[str, str] = {
     "be compared an output each",
     "calibration.colour.chart": NO_CHART,
     "calibration.colour.method: chart": NO_CHART,
-    "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key, and see "
-    "`mapper: both` for a comparison",
+    "calibration.static_poses.check_seed": "poses are no longer mapped with another seed; remove the key",
+    "calibration.static_poses.time_minutes": "structure from motion takes as long as it needs; remove the key, and "
+    "limit the whole run with budget.time_minutes",
     "capture.mattes.command": NO_PROGRAM,
     "capture.mattes.method: background": "mattes by a clean plate are no longer made; make them with another program, "
     "and name their folder (`mattes: FOLDER`)",

@@ -248,15 +248,11 @@ class StaticPosesConfig(_Section):
     """Structure from motion of the sweep."""
 
     mapper: Literal["incremental", "global", "both"] = "incremental"
-    """COLMAP's mapper to begin with; others are tried where it fails and compared in small sweeps; both: run both,
-    keep the better model."""
+    """COLMAP's mapper to begin with; others are tried where it fails; both: run both, keep the better model."""
     masks: PathText | None = None
     """Folder of masks of what moves or reflects in the sweep, black is ignored: `IMG_1.jpg.png` or `IMG_1.png` by
     photo, `000012.png` or `12.png` by frame of a film; of the picture's size, upright. Pictures without one are
     used whole."""
-    time_minutes: float | None = Field(default=30.0, gt=0)
-    """Time for this stage; pairs (farthest first), pictures and mappers that do not fit into it are left out and
-    named. null: no limit."""
 
 
 class SyncConfig(_Section):

@@ -4,9 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import inf, isinf
 from statistics import median
 
-from devrf.pipelines.health.rows import HealthRow, listed, note, row
-from devrf.reconstruct.check_plates import PlateFit
-from devrf.reconstruct.check_rest import RestFit
+from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.reconstruct.check_rest import PlateFit, RestCheck, RestFit
 
 # A picture may lie so far beside the model: two cameras then disagree by a voxel, which reads as motion.
 MOST_VOXELS = 0.5
@@ -29,14 +28,11 @@ AT_OTHER_TIME = (
 )
 
 
-def at_rest_rows(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> list[HealthRow]:
-    """Rows about the worst camera; none where nothing can be told.
-
-    Args:
-        cameras: What each fixed camera sees.
-        sweep: The same of held-out pictures of the sweep, which say how well the model fits pictures that are right.
+def at_rest_rows(found: RestCheck) -> list[HealthRow]:
+    """Rows about the worst camera's picture at rest, a row for every fixed camera that has a clean plate, and one on
+    what poses and clocks have to do with it; none where nothing can be told.
     """
-    return [*_beside(cameras, sweep), *_unlike(cameras, sweep)]
+    return [*_beside(found.cameras, found.sweep), *_unlike(found.cameras, found.sweep), *_plates(found)]
 
 
 def _beside(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> list[HealthRow]:
@@ -84,27 +80,17 @@ def _unlike(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> list[He
     ]
 
 
-@listed
-def plate_rows(
-    plates: Mapping[str, PlateFit], held_out: Sequence[float], sweep: Sequence[RestFit]
-) -> Iterator[HealthRow]:
-    """A row for every fixed camera that has a clean plate, and one on what poses and clocks have to do with it.
-
-    Args:
-        plates: What stands, as each shows it, against the model.
-        held_out: PSNR of the sweep's held-out pictures, whole.
-        sweep: Held-out pictures of the sweep against the model, for how far beside it they lie.
-    """
-    least = median(held_out) - WORSE_DB if len(held_out) > 1 else -inf
-    for name, plate in plates.items():
+def _plates(found: RestCheck) -> Iterator[HealthRow]:
+    least = median(found.sweep_psnr) - WORSE_DB if len(found.sweep_psnr) > 1 else -inf
+    for name, plate in found.plates.items():
         yield note(
             f"clean plate against the scene at rest ({name})",
             _told(plate),
-            remedy=_what_is_wrong(name, plate, least, _usual(sweep)),
+            remedy=_what_is_wrong(name, plate, least, _usual(found.sweep)),
         )
     shares = [
         (share, most, name, remedy)
-        for name, plate in plates.items()
+        for name, plate in found.plates.items()
         if plate.psnr is not None
         for share, most, remedy in (
             (plate.by_place, MOST_OF_PLATE, SHIFTED),

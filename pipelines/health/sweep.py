@@ -26,7 +26,6 @@ LISTED = 6  # names in a message
 STARVED = 500  # features of a picture; below it matching is a matter of luck ...
 STARVED_PER_PIXEL = 1 / 250  # ... of small pictures: this many per pixel
 MOVING_SHARE = 0.1  # of a picture's textured tiles
-APART_DEG = 0.5  # two mappers
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 EXIF_WARN, EXIF_BAD = 5.0, 15.0  # percent
 # percent of distortion, half-way to the corners: of a corrected lens, of one that is not
@@ -46,8 +45,6 @@ def sweep_rows(model: SweepModel) -> list[HealthRow]:
         *_lenses(model),
         *_residuals(model),
         *loop_rows(model),
-        *_agreement(model.report),
-        *_gps(model.report),
         *_time(model.report),
         note("mapper", str(model.report["mapper"])),
     ]
@@ -166,11 +163,10 @@ def _registered(r: dict[str, Any]) -> Iterator[HealthRow]:
 def _texture(r: dict[str, Any]) -> HealthRow:
     pixels = max((c["width"] * c["height"] for c in r["cameras"].values()), default=0)
     enough = min(STARVED, STARVED_PER_PIXEL * pixels)
-    skipped = set(r["skipped_pictures"])
-    starved = [n for n, count in r["features_per_image"].items() if count < enough and n not in skipped]
+    starved = [n for n, count in r["features_per_image"].items() if count < enough]
     return row(
         "pictures with enough features",
-        1 - len(starved) / max(1, r["given"] - len(skipped)),
+        1 - len(starved) / max(1, r["given"]),
         warn=0.9,
         remedy=f"Fewer than {enough:.0f} features in {_some(starved)}: blank walls, dark or blurred pictures. Put "
         "textured things (posters, newspapers, rugs) there for the sweep, give light, walk slowly.",
@@ -314,52 +310,9 @@ def loop_rows(model: SweepModel) -> list[HealthRow]:
             share,
             warn=0.2,
             remedy=f"The path comes back, but {a} and {b} share no point: the loop is not closed and the model may "
-            "have drifted. Film the overlap again slowly, or give more time (calibration.static_poses.time_minutes).",
+            "have drifted. Film the overlap again slowly.",
         )
     ]
-
-
-def _agreement(r: dict[str, Any]) -> Iterator[HealthRow]:
-    for compared in r["compared"]:
-        if not r["torn"] and any(compared["torn"]):
-            continue  # one was torn, and that is why: the other was kept
-        apart: dict[str, float] = compared["apart_deg"]
-        beyond = [n for n, deg in apart.items() if deg > APART_DEG]
-        yield row(
-            "largest turn between two mappers",
-            max(apart.values(), default=None),
-            "deg",
-            warn_above=APART_DEG,
-            remedy=f"{compared['against']} and {compared['name']} disagree by more than {APART_DEG} degrees on "
-            f"{len(beyond)} pictures: {_some(beyond)}. Few or wrong matches there: film more overlap and texture.",
-        )
-
-
-def _gps(r: dict[str, Any]) -> Iterator[HealthRow]:
-    gps = r["gps"]
-    if gps is None or not gps["places"]:
-        return
-    if gps["why"] is not None:
-        contradicts = "GPS contradicts the pictures: wait for a fix before the first photo."
-        remedy = contradicts if "std_m" in gps else ""
-        yield note("GPS", f"not used: {gps['why']}", remedy=remedy)
-        return
-    off = sorted(gps["off_m"].values())
-    median = off[len(off) // 2]
-    far = [n for n, metres in gps["off_m"].items() if metres > 3 * gps["std_m"]]
-    yield row(
-        "distance of GPS places from the model",
-        median,
-        "m",
-        warn_above=3 * gps["std_m"],
-        remedy=f"GPS off by {median:.0f} m: wait for a fix under open sky; scale from GPS is then a guess.",
-    )
-    yield row(
-        "share of GPS places that agree",
-        gps["agreeing"] / gps["places"],
-        warn=0.8,
-        remedy=f"GPS is off by up to {off[-1]:.0f} m at {_some(far)}; these were left out of the scale.",
-    )
 
 
 def _time(r: dict[str, Any]) -> list[HealthRow]:
@@ -368,17 +321,14 @@ def _time(r: dict[str, Any]) -> list[HealthRow]:
     late = [a["name"] for a in r["attempts"] if a["out_of_time"]]
     said = []
     if left_out:
-        minutes = pairs["wanted_s"] / 60
-        said.append(f"{pairs['wanted']} pairs ≈ {minutes:.1f} min on this CPU; {left_out} left out")
-    if r["skipped_pictures"]:
-        said.append(f"{len(r['skipped_pictures'])} pictures left out: {_some(r['skipped_pictures'])}")
+        said.append(f"{left_out} of {pairs['wanted']} pairs left out")
     if late:
         said.append(f"mapping stopped: {', '.join(late)}")
     if r["stopped"]:
         said.append(f"the worker {r['stopped']}; its best model so far is used")
     if not said:
         return []
-    remedy = "Give more time (calibration.static_poses.time_minutes), or use fewer or smaller pictures."
+    remedy = "Give more time (budget.time_minutes), or use fewer or smaller pictures."
     return [note("time for the sweep", "; ".join(said), remedy=remedy)]
 
 

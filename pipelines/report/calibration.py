@@ -25,15 +25,12 @@ SECTORS = 8  # of directions in which a board leans
 
 
 def calibration(run: RunFolder) -> dict[str, Any]:
-    """Plans, links, boards, residuals, lengths on boards that no fit has seen, and how far mappers are apart."""
+    """Plans, links, boards, residuals, and lengths on boards that no fit has seen."""
     drawn, remark = plans(run)
-    apart = {str(c.get("name")): c.get("apart_deg") for c in run.objects(POSES, "compared")}
-    worst = {name: max(found.values()) for name, found in apart.items() if isinstance(found, dict) and found}
     lengths = [(n, r) for n, r in enumerate(run.health("rig")) if str(r.get("check")).startswith(HELD_OUT)]
     return {
         "plans": drawn,
         "remark": remark,
-        "apart_deg": worst,
         "links": list(_links(run)),
         "boards": list(_boards(run)),
         "left_over": list(_residuals(run)),

@@ -56,7 +56,6 @@ class Series:
     y: Sequence[float]
     colour: int = 0
     dashed: bool = False
-    markers: bool = False
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,6 @@ def line_chart(
     x_label: str,
     y_label: str,
     *,
-    log_x: bool = False,
     log_y: bool = False,
     marks: Sequence[tuple[float, str]] = (),
     title: str = "",
@@ -84,12 +82,12 @@ def line_chart(
     Args:
         series: Lines; points that are not finite (or not positive on a logarithmic axis) break the line.
         x_label, y_label: Axis titles with units.
-        log_x, log_y: Logarithmic axes.
+        log_y: A logarithmic axis.
         marks: Vertical lines with a word each (for example where a level begins).
         title: Words above the chart.
         small: For rows of three.
     """
-    drawn = [(s, _drawable(s.x, log_x), _drawable(s.y, log_y)) for s in series]
+    drawn = [(s, _drawable(s.x, False), _drawable(s.y, log_y)) for s in series]
     drawn = [(s, x, y) for s, x, y in drawn if np.isfinite(x + y).any()]
     if not drawn:
         return None
@@ -99,15 +97,13 @@ def line_chart(
 
         axes = figure.add_subplot(xlabel=x_label, ylabel=y_label)
         for s, x, y in drawn:
-            style = "--" if s.dashed else "-"
-            axes.plot(x, y, style, color=LINES[s.colour % COLOURS], marker="o" if s.markers else "")
-        for is_log, axis in ((log_x, axes.xaxis), (log_y, axes.yaxis)):
-            if is_log:
-                axes.set(**{f"{axis.axis_name}scale": "log"})
-                low, high = axis.get_data_interval()
-                axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
-                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-                axis.set_minor_locator(NullLocator())
+            axes.plot(x, y, "--" if s.dashed else "-", color=LINES[s.colour % COLOURS])
+        if log_y:
+            axes.set(yscale="log")
+            low, high = axes.yaxis.get_data_interval()
+            axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 100 * low else (1,)))
+            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.yaxis.set_minor_locator(NullLocator())
         low, high = axes.get_xlim()
         for x, word in marks:
             if low <= x <= high:

@@ -1,10 +1,10 @@
-"""Sections of the report that are curves: training, clocks, and what `bench speed` and `bench stability` measured."""
+"""Sections of the report that are curves: training and clocks."""
 
 from collections.abc import Iterable
 from typing import Any
 
 from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
-from devrf.pipelines.report.run import RunFolder, as_float, at, is_number
+from devrf.pipelines.report.run import RunFolder, as_float, is_number
 
 LABELS = ("iteration", "seconds", "psnr", "samples", "level", "key", "time")  # of a row; the rest are losses
 LOSSES = {
@@ -52,36 +52,6 @@ def _with_tests(run: RunFolder, file: str, key: str) -> list[dict[str, Any]]:
     """What two cameras say of each other, of those that are trained on and of each test camera with these."""
     tests = [run.objects(file, "tests", name, key) for name in run.object(file, "tests")]
     return [pair for of in (run.objects(file, key), *tests) for pair in of]
-
-
-def speed(run: RunFolder) -> dict[str, Any] | None:
-    """Accuracy against seconds of several ways to train, from the benchmark beside the run folder."""
-    file = f"../{run.path.name}-bench/speed.json"
-    curves = run.object(file, "curves")
-    if not curves or not isinstance(run.at(file, "rows"), list):
-        return None
-    places = {str(at(row, "name")): n for n, row in enumerate(run.at(file, "rows"))}
-
-    def value(case: str, key: str) -> float:
-        return as_float(run.at(file, "rows", places.get(f"speed/{case}/{key}", -1), "value"))
-
-    series = []
-    for n, case in enumerate(curves):
-        way = run.objects(file, "curves", case)  # how training got there
-        seconds, psnr = ([as_float(point.get(key)) for point in way] for key in ("seconds", "psnr"))
-        series.append(Series("", seconds, psnr, n))
-        series.append(Series(case, [value(case, "seconds")], [value(case, "test/psnr")], n, markers=True))
-    chart = line_chart(series, "seconds of training", "PSNR of test views, dB", log_x=True)
-    return {"file": file, "cases": list(curves), "places": places, "charts": _drawn([chart])}
-
-
-def stability(run: RunFolder) -> dict[str, Any] | None:
-    """Where this scene's result breaks under damage: the suite beside the run folder, with its chart."""
-    file = f"../{run.path.name}-bench/stability.json"
-    if not run.object(file, "axes") or not run.object(file, "points"):
-        return None
-    chart = f"{file.removesuffix('.json')}.png"
-    return {"file": file, "chart": chart if (run.path / chart).is_file() else None}
 
 
 def _training(run: RunFolder, stage: str) -> list[Chart]:

@@ -13,7 +13,7 @@ from typing import Any
 from devrf.pipelines.report.calibration import calibration
 from devrf.pipelines.report.capture import capture, colours
 from devrf.pipelines.report.confidence import confidence
-from devrf.pipelines.report.curves import clocks, speed, stability, training
+from devrf.pipelines.report.curves import clocks, training
 from devrf.pipelines.report.flow import flow
 from devrf.pipelines.report.pictures import data_uri, file_uri
 from devrf.pipelines.report.run import METRICS, RunFolder
@@ -26,7 +26,7 @@ MAX_PAGE_BYTES = 15_000_000  # what can still be sent by mail
 ROOMS = (1.0, 0.5, 0.25, 0.1)  # shares of the usual pictures, tried one after the other
 POSTER_WIDTH = 800
 MAX_FILM_BYTES = 8_000_000  # base64 makes it a third larger; a bigger film is linked instead
-SECTIONS: tuple[tuple[str, str, Callable[[RunFolder], dict[str, Any] | None]], ...] = (
+SECTIONS: tuple[tuple[str, str, Callable[[RunFolder], dict[str, Any]]], ...] = (
     ("capture", "Capture", capture),
     ("rig", "Cameras", calibration),
     ("colour", "Colours", colours),
@@ -35,8 +35,6 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunFolder], dict[str, Any] | None]], .
     ("training", "Training", training),
     ("views", "Views", views),
     ("confidence", "Confidence", confidence),
-    ("speed", "Speed", speed),  # these two only where `bench` has measured them: None
-    ("stability", "Stability", stability),
 )
 
 
@@ -57,7 +55,7 @@ def build_report(run: RunFolder, name: str, facts: Sequence[str] = ()) -> str:
 
 
 def _page(run: RunFolder, name: str, facts: Sequence[str]) -> str:
-    sections = [part for section in SECTIONS if (part := _made(run, *section)) is not None]
+    sections = [_made(run, *section) for section in SECTIONS]
     values = {"run": run, "METRICS": METRICS, "name": name, "facts": facts}
     top = render("summary.html", values | _summary(run))  # after the sections: it also names unreadable files
     values |= {"title": f"{name}: run report", "summary": top, "max_bytes": MAX_PAGE_BYTES}
@@ -65,15 +63,12 @@ def _page(run: RunFolder, name: str, facts: Sequence[str]) -> str:
 
 
 def _made(
-    run: RunFolder, key: str, title: str, make: Callable[[RunFolder], dict[str, Any] | None]
-) -> dict[str, Any] | None:
+    run: RunFolder, key: str, title: str, make: Callable[[RunFolder], dict[str, Any]]
+) -> dict[str, Any]:
     """A section and the stages that it drew on; where a damaged file breaks it, that is said and the others stand."""
     run.drawn_on.clear()
     try:
-        values = make(run)
-        if values is None:
-            return None
-        html = render(f"{key}.html", {"run": run, "METRICS": METRICS} | values)
+        html = render(f"{key}.html", {"run": run, "METRICS": METRICS} | make(run))
     except Exception as error:
         logger.exception("report: section %s", key)
         html = render("broken.html", {"error": f"{type(error).__name__}: {error}"})

@@ -5,15 +5,14 @@ from dataclasses import asdict
 from typing import Any
 
 from devrf.capture.formats.scene_files import read_scene
-from devrf.pipelines.health.at_rest import at_rest_rows, plate_rows
+from devrf.pipelines.health.at_rest import at_rest_rows
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.health.training import restart_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.training_options import training_options
-from devrf.reconstruct.check_plates import check_plates
-from devrf.reconstruct.check_rest import check_rest, renderer_at_rest
+from devrf.reconstruct.check_rest import check_rest
 from devrf.reconstruct.model_io import FILE, save_rest
 from devrf.reconstruct.train_canonical import train_canonical
 
@@ -31,13 +30,11 @@ def run(context: StageContext) -> None:
     for line in model.metrics["decisions"]:
         context.say(f"  {line}")
     decisions = fits + model.metrics["decisions"]
-    render = renderer_at_rest(model)
-    cameras, sweep = check_rest(scene, model, render)
-    plates, held_out = check_plates(scene, model, render)
+    found = check_rest(scene, model)
     fits_at_rest = {
-        "cameras": {n: asdict(f) for n, f in cameras.items()},
-        "sweep": [asdict(f) for f in sweep],
-        "plates": {n: asdict(f) for n, f in plates.items()},
+        "cameras": {n: asdict(f) for n, f in found.cameras.items()},
+        "sweep": [asdict(f) for f in found.sweep],
+        "plates": {n: asdict(f) for n, f in found.plates.items()},
     }
     metrics: dict[str, Any] = model.metrics | {
         "decisions": decisions,
@@ -56,6 +53,5 @@ def run(context: StageContext) -> None:
             "exposure was locked and that the poses are right (report), or train longer.",
         )
     )
-    context.health.extend(at_rest_rows(cameras, sweep))
-    context.health.extend(plate_rows(plates, held_out, sweep))
+    context.health.extend(at_rest_rows(found))
     context.health.extend(restart_rows(metrics))

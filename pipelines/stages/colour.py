@@ -19,7 +19,7 @@ from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
 from devrf.capture.light import LightCourse
 from devrf.capture.look import Look, as_matrix
 from devrf.capture.picture_files import read_pixels
-from devrf.pipelines.clocks import read_sync
+from devrf.pipelines.clocks import read_clocks
 from devrf.pipelines.health.colour import colour_rows
 from devrf.pipelines.stage import StageContext
 
@@ -114,7 +114,7 @@ class _Job:
 
     def _moments(self, names: Sequence[str]) -> Iterator[dict[str, View]]:
         """Pictures of these cameras at a few moments that all of them saw."""
-        clocks = read_sync(self.context.run_dir)
+        clocks = read_clocks(self.context.run_dir)
         shown = {
             n: [f for f in self.frames.moving[n].used if f.file is not None and f.time_s is not None]
             for n in names

@@ -6,10 +6,11 @@ from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
+from devrf.calibration.clocks.equations import Clock
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.flow.store import read_flows
-from devrf.pipelines.clocks_in_use import clocks_in_use
+from devrf.pipelines.clocks import clock_dict, clocks_in_use
 from devrf.pipelines.flow_clips import flow_estimator
 from devrf.pipelines.health.in_motion import in_motion_rows
 from devrf.pipelines.health.rows import HealthRow, row
@@ -92,14 +93,14 @@ def _test_clocks(
         if model.movers is not None:
             estimator = flow_estimator(context.config, context.scene_dir, context.device)
             found = view_offset(trained, model, name, estimator)
-        out[name] = {"std_s": clocks[name]["std_s"], **asdict(found)}
+        out[name] = {"std_s": clock_dict(clocks[name])["std_s"], **asdict(found)}
     return out
 
 
-def unknown_test_clocks(scene: Scene, clocks: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Cameras that are not trained on whose clocks, as `clocks_in_use` gives them, are not known to `KNOWN_MS`."""
+def unknown_test_clocks(scene: Scene, clocks: Mapping[str, Clock]) -> list[str]:
+    """Cameras that are not trained on whose clocks are not known to `KNOWN_MS`."""
     splits = {name: {f.split for f in scene.dynamic if f.camera_name == name} for name in clocks}
-    unsure = {name for name, c in clocks.items() if c["std_s"] is None or 1e3 * c["std_s"] > KNOWN_MS}
+    unsure = {name for name, clock in clocks.items() if 1e3 * clock.std_s > KNOWN_MS}
     return [name for name, of in splits.items() if of == {"test"} and name in unsure]
 
 

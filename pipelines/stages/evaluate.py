@@ -3,15 +3,17 @@
 import json
 import platform
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from devrf.calibration.truth import Clock, Truth, compare_cameras, compare_clocks, read_masks, read_truth
+from devrf.calibration.clocks.equations import Clock
+from devrf.calibration.truth import Truth, compare_cameras, compare_clocks, read_masks, read_truth
 from devrf.capture.scene import Scene
-from devrf.pipelines.clocks_in_use import clocks_in_use
+from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.confidence import confidence_rows
 from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
@@ -20,8 +22,7 @@ from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.pipelines.trained_scene import trained_scene
 from devrf.pipelines.unknown_clocks import unknown_clocks
-from devrf.reconstruct.confidence import Confidence
-from devrf.reconstruct.confidence_subject import subject_confidence
+from devrf.reconstruct.confidence import subject_seen
 from devrf.reconstruct.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
@@ -38,17 +39,16 @@ def run(context: StageContext) -> None:
     scene = trained_scene(context.run_dir)  # clocks of test cameras are as they were calibrated
     lpips = lpips_nets(config, context.scene_dir, context.device)
     model = load_trained(context.run_dir, context.device)
-    confidence = Confidence(scene, model)
     truth_file = config.truth_path(context.scene_dir)
     masks = {} if truth_file is None else true_masks(truth_file, scene)
     plain = model.unshaded()
     metrics = evaluate(
-        scene, renderer(model), lpips, context.out, context.progress, confidence, masks,
+        scene, renderer(model), lpips, context.out, context.progress, masks,
         None if plain is None else renderer(plain), unknown_clocks(context.run_dir),
         why_no_test_views(config, context.run_dir),
     )  # fmt: skip
-    metrics["confidence"] |= subject_confidence(scene, confidence)
     metrics |= {
+        "confidence": subject_seen(scene, model),
         "train": training(context.run_dir),
         "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),
         "versions": versions(),
@@ -113,8 +113,8 @@ def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
     moved_s = _read(run_dir / "deformation" / "metrics.json").get("clock_offsets_s", {})
     zero_s = moved_s.get(next(iter(clocks), ""), 0.0)
     return {
-        name: Clock(float(c["offset_s"]) + moved_s.get(name, 0.0) - zero_s, float(c["drift_ppm"]))
-        for name, c in clocks.items()
+        name: replace(clock, offset_s=clock.offset_s + moved_s.get(name, 0.0) - zero_s)
+        for name, clock in clocks.items()
     }
 
 

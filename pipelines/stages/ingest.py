@@ -91,10 +91,9 @@ def file_ranges(
         clocks[test] = synchronise(alone, sounds, {}, "audio", known=clocks).cameras[test]
     for name, clock in clocks.items():
         if name != names[0] and clock.confidence >= TRUSTED:
-            rate = 1 + 1e-6 * clock.drift_ppm
             ranges[name] = (
-                (from_s - clock.offset_s) / rate - RANGE_MARGIN_S,
-                (to_s - clock.offset_s) / rate + RANGE_MARGIN_S,
+                clock.file_time(from_s) - RANGE_MARGIN_S,
+                clock.file_time(to_s) + RANGE_MARGIN_S,
             )
     return ranges
 

@@ -18,7 +18,7 @@ from devrf.calibration.rigs.graph import Link, camera_graph
 from devrf.calibration.rigs.joint import adjust_together, disagreement, world_from_rig
 from devrf.calibration.rigs.result import rig_camera
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, write_rig
-from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances, scale_from_gps
+from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances
 from devrf.calibration.rigs.sweep_route import FixedCameraInput, SweepRig, rig_from_sweep
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
@@ -148,8 +148,6 @@ class _Job:
             if together is not None:
                 cameras, graph = together
         self.swept = replace(swept, cameras=cameras)
-        if not self.scales and (gps := scale_from_gps(model)) is not None:
-            self.scales = [gps]  # metres off: worth something only where nothing else is
         scale = combined(self.scales) if self.scales else ARBITRARY
         return Rig({n: _scaled(c, scale.factor) for n, c in cameras.items()}, scale, "sweep", graph)
 

@@ -130,8 +130,7 @@ def sweep_options(
     side_px: int = MAX_IMAGE_SIZE,
 ) -> SweepOptions:
     """What the configuration asks for, in no more than the seconds that are left, with so many threads."""
-    limits = [m for m in (config.time_minutes, None if left_s is None else left_s / 60) if m is not None]
-    return SweepOptions(config.mapper, min(limits, default=None), threads, side_px)
+    return SweepOptions(config.mapper, left_s, threads, side_px)
 
 
 def _size(file: Path) -> tuple[int, int]:

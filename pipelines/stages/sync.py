@@ -146,7 +146,6 @@ def _evidence(result: SyncResult) -> dict[str, Any]:
         "curves": [_curve_dict(curve) for curve in result.curves],
         "loops": [asdict(loop) for loop in result.loops],
         "comparisons": [asdict(c) | {"contradicts": c.contradicts} for c in result.comparisons],
-        "jumps": [asdict(jump) for jump in result.jumps],
     }
 
 
@@ -232,7 +231,7 @@ def _worst_loop(result: SyncResult) -> str:
 
 
 def _cues(result: SyncResult) -> Iterator[HealthRow]:
-    """Independent cues against each other, and steps in what should be one straight line."""
+    """Independent cues against each other."""
     for other in dict.fromkeys(c.other for c in result.comparisons):
         pairs = [c for c in result.comparisons if c.other == other]
         worst = max(pairs, key=lambda c: abs(c.difference_s) / c.limit_s)
@@ -246,14 +245,6 @@ def _cues(result: SyncResult) -> Iterator[HealthRow]:
             "in every take, it is the camera's lag between sound and pictures: set calibration.sync.av_lag_s: "
             f"{{{worst.second}: {worst.difference_s:.3f}}}. Else film a clap that the cameras also see.",
         )
-    for jump in result.jumps:
-        names = f"{jump.first} and {jump.second}"
-        remedy = (
-            f"One of {names} lost pictures or sound at {jump.at_s:.1f} s of {jump.first}: use capture.range_s to stay "
-            "on one side of it, or give true times in capture.timestamps."
-        )
-        value = f"step of {1e3 * jump.step_s:+.0f} ms at {jump.at_s:.1f} s"
-        yield note(f"jump of the clock, {names}", value, remedy=remedy)
 
 
 def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[HealthRow]:

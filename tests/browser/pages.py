@@ -1,4 +1,4 @@
-"""What tests of the report and of comparisons ask of a page that is opened from a file."""
+"""What tests of the report ask of a page that is opened from a file."""
 
 import re
 from pathlib import Path

@@ -122,7 +122,7 @@ class Recovered:
 
 @pytest.fixture(scope="package")
 def corner(tmp_path_factory: pytest.TempPathFactory) -> Recovered:
-    """The healthy corner, recovered once; both mappers are compared."""
+    """The healthy corner, recovered once."""
     drawn, out = draw_corner(tmp_path_factory.mktemp("corner")), tmp_path_factory.mktemp("recovered")
     return Recovered(drawn, out, drawn.recover(out))
 

@@ -19,7 +19,7 @@ from devrf.calibration.rigs.graph import camera_graph
 from devrf.calibration.rigs.joint import adjust_together, disagreement
 from devrf.calibration.rigs.registration import camera_of, register
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, read_rig, write_rig
-from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances, scale_from_gps
+from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances
 from devrf.calibration.rigs.sweep_route import FixedCameraInput, rig_from_sweep
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
@@ -373,15 +373,6 @@ def test_scale_from_known_distances():
     scale = scale_from_distances(true, sweep, "tape")
     assert scale is not None and scale.factor == pytest.approx(4.0)
     assert scale_from_distances({"a": np.zeros(3)}, sweep, "tape") is None
-
-
-def test_scale_from_gps_where_the_sweep_fits_it():
-    model, _ = synthetic_sweep(points=20)
-    assert scale_from_gps(model) is None  # no places
-    refused = replace(model, report={"gps": {"places": 2, "why": "two places"}})
-    assert scale_from_gps(refused) is None
-    gps = {"why": None, "agreeing": 9, "factor": 2.5, "factor_std": 0.04}
-    assert scale_from_gps(replace(model, report={"gps": gps})) == Scale(True, "GPS of 9 pictures", 2.5, 0.04)
 
 
 def test_rig_json_there_and_back(tmp_path):

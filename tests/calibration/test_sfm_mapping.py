@@ -1,10 +1,8 @@
 """Which of the mappers' models is kept."""
 
-from typing import ClassVar
-
 import pytest
 
-from devrf.calibration.sweep.sfm_budget import Clock
+from devrf.calibration.sweep.sfm_budget import Deadline
 from devrf.calibration.sweep.sfm_mapping import Mapping
 
 
@@ -23,33 +21,31 @@ class Mapped:
     def compute_mean_reprojection_error(self):
         return self.error
 
-    images: ClassVar[dict] = {}
-
 
 @pytest.mark.parametrize(
-    ("first", "second", "tried", "kept"),
+    ("first", "second", "both", "tried", "kept"),
     [
-        (Mapped(80, 0.5, 3), Mapped(80, 0.6, 0), True, "global"),  # torn: the other is tried, and kept
-        (Mapped(80, 0.5, 3), Mapped(80, 0.4, 5), True, "incremental"),
-        (Mapped(80, 0.5, 0), Mapped(80, 0.4, 0), False, "incremental"),  # whole: no other is tried
-        (Mapped(80, 0.5, 1), Mapped(60, 0.4, 0), True, "incremental"),  # pictures count first
+        (Mapped(80, 0.5, 3), Mapped(80, 0.6, 0), False, True, "global"),  # torn: the other is tried, and kept
+        (Mapped(80, 0.5, 3), Mapped(80, 0.4, 5), False, True, "incremental"),
+        (Mapped(80, 0.5, 0), Mapped(80, 0.4, 0), False, False, "incremental"),  # whole: no other is tried
+        (Mapped(80, 0.5, 0), Mapped(80, 0.4, 0), True, True, "global"),  # unless both are asked for
+        (Mapped(80, 0.5, 1), Mapped(60, 0.4, 0), False, True, "incremental"),  # pictures count first
     ],
 )
-def test_a_torn_model_is_compared_with_another_mapper(tmp_path, first, second, tried, kept):
+def test_a_torn_model_is_mapped_by_another_mapper_too(tmp_path, first, second, both, tried, kept):
     models = {"incremental": first, "global": second}
     mapping = Mapping(
         lambda folder, rung, left: [models[rung["mapper"]]],
         lambda model: model.torn,
         tmp_path,
         80,
-        Clock(None),
+        Deadline(None),
         lambda share, text: None,
     )
     ladder = [{"name": name, "mapper": name, "accept": 0.8} for name in models]
     mapping.climb(ladder)
-    other = mapping.other_mapper("weak", ladder)
-    assert (other is not None) == tried
-    if other is not None:
-        mapping.compare(other)
+    other = mapping.other_mapper(both, ladder)
+    assert bool(other) == tried
+    mapping.climb(other)
     assert mapping.name == kept and mapping.best is models[kept]
     assert [attempt["torn"] for attempt in mapping.attempts] == [m.torn for m in (first, second)][: 1 + tried]

@@ -4,7 +4,6 @@ Numbers in brackets (B5, ...) are the failure cases of static poses. Faults that
 worker; faults of lens or motion are made by projecting the recovered points with a camera that has them.
 """
 
-import re
 from dataclasses import replace
 
 import cv2
@@ -14,7 +13,6 @@ from tests.refused import refused
 
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.checks import picture_fits, two_zooms
-from devrf.calibration.sweep.sfm_mapping import disagreement_deg
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.sweep.two_views import TwoViews, against_model, torn_apart
 from devrf.capture.camera import Camera
@@ -45,8 +43,7 @@ def rotation_about_y(deg: float) -> np.ndarray:
 
 def test_a_healthy_sweep_fires_nothing(corner):
     assert fired(corner.model) == {}
-    compared = [c["name"] for c in corner.model.report["compared"]]
-    assert compared == ["global"]
+    assert [attempt["name"] for attempt in corner.model.report["attempts"]] == ["incremental"]
     assert mask_rows([]) == []
 
 
@@ -161,23 +158,22 @@ def test_a_wrong_exif_focal_is_named(draw, tmp_path):
 
 @pytest.mark.full
 def test_out_of_time_says_what_was_left_out(draw, tmp_path):
-    """B25: 0.6 s; the first four pictures alone take longer than the share that features may take."""
+    """B25: no time at all; the mapper is stopped after a second."""
     drawn = draw(tmp_path / "in")
     try:
-        model = drawn.recover(tmp_path / "out", SweepOptions(time_minutes=0.01))
+        model = drawn.recover(tmp_path / "out", SweepOptions(time_s=0.0))
     except HealthError as error:  # a machine so slow that nothing was mapped
         assert error.code == "sweep-out-of-time"
         return
     row = fired(model)["time for the sweep"]
-    assert re.search(r"\d+ pictures", str(row.value))
-    assert "time_minutes" in row.remedy
+    assert "incremental" in str(row.value) and "budget.time_minutes" in row.remedy
 
 
-def test_pairs_left_out_are_counted_in_minutes(corner):
+def test_pairs_left_out_are_counted(corner):
     """B25 as the issue words it."""
-    pairs = {"all": 4950, "wanted": 4950, "matched": 1200, "seconds": 390.0, "wanted_s": 1620.0}
+    pairs = {"all": 4950, "wanted": 4950, "matched": 1200, "seconds": 390.0}
     row = fired(changed(corner.model, pairs=pairs))["time for the sweep"]
-    assert all(number in str(row.value) for number in ("4950", "27.0 min", "3750"))
+    assert "3750" in str(row.value) and "4950" in str(row.value)
 
 
 # --- GPS ---
@@ -189,33 +185,16 @@ def place(metres: np.ndarray, std_m: float) -> Place:
 
 
 @pytest.mark.full
-def test_gps_gives_scale_and_bad_places_are_named(corner, tmp_path):
-    """B22: two of nine places are 40 m off; scale comes from the others."""
+def test_places_guide_the_mapper_and_wrong_ones_do_no_harm(corner, tmp_path):
+    """B22: two of nine places are 40 m off."""
     rng = np.random.default_rng(0)
     truth = corner.corner.truth
     places = {n: place(10 * w[:3, 3] + rng.normal(0, 0.3, 3), 0.3) for n, w in truth.items()}
     for name in sorted(truth)[:2]:
         places[name] = place(10 * truth[name][:3, 3] + [40, 0, 0], 0.3)
     model = corner.corner.recover(tmp_path, places=places)
-    gps = model.report["gps"]
-    distance = [np.linalg.norm(model.cameras[0].centre - c.centre) for c in model.cameras[1:]]
-    true = [10 * np.linalg.norm(truth[model.names[0]][:3, 3] - truth[n][:3, 3]) for n in model.names[1:]]
-    factor = float(np.median(np.array(true) / np.array(distance)))
-    # 7 places of 0.3 m over a spread of 10 m: 1 %, within three standard deviations
-    assert gps["factor"] == pytest.approx(factor, rel=3 * gps["factor_std"]) and gps["factor_std"] < 0.02
-    assert gps["agreeing"] == 7
-    row = fired(model)["share of GPS places that agree"]
-    assert "40 m" in row.remedy and "static/000000.png, static/000001.png" in row.remedy
-
-
-def test_gps_that_is_all_wrong_and_gps_that_says_nothing(corner):
-    off = {name: 13.0 for name in corner.model.names}
-    gps = {"places": 9, "why": None, "std_m": 4.0, "agreeing": 9, "off_m": off}
-    assert "13 m" in fired(changed(corner.model, gps=gps))["distance of GPS places from the model"].remedy
-    why = {"places": 9, "why": "no position of the model agrees with enough of the places", "std_m": 4.0}
-    assert list(fired(changed(corner.model, gps=why))) == ["GPS"]
-    little = {"places": 9, "why": "the places spread over 2.0 m, their own error is about 4.0 m"}
-    assert fired(changed(corner.model, gps=little)) == {}
+    assert model.names == corner.model.names and fired(model) == {}
+    assert model.report["mean_reprojection_px"] < 1.1 * corner.model.report["mean_reprojection_px"]
 
 
 # --- lens and motion: the recovered points, seen by a camera with the fault ---
@@ -437,20 +416,6 @@ def test_a_film_whose_neighbours_lie_apart_in_the_model_is_torn(corner):
     assert torn(1) == [list(model.names[:2])]
     row = fired(changed(model, torn=torn(1)))["neighbouring pictures that contradict the model"]
     assert row.value == 1 and "static/000000.png - static/000001.png" in row.remedy
-
-
-def test_results_that_disagree_are_named_by_picture(corner):  # B24
-    poses = {n: c.cam_from_world for n, c in zip(corner.model.names, corner.model.cameras, strict=True)}
-    world = rotation_about_y(70.0)  # another frame is no disagreement
-    other = {n: np.column_stack([p[:, :3] @ world, p[:, 3]]) for n, p in poses.items()}
-    other["static/000004.png"] = rotation_about_y(0.8) @ other["static/000004.png"]
-    apart = disagreement_deg(poses, other)
-    assert apart["static/000004.png"] == pytest.approx(0.8, abs=1e-3)
-    compared = {"name": "global", "against": "incremental", "torn": [0, 0], "apart_deg": apart}
-    row = fired(changed(corner.model, compared=[compared]))["largest turn between two mappers"]
-    assert "static/000004.png" in row.remedy
-    torn = changed(corner.model, compared=[compared | {"torn": [0, 3]}])
-    assert "largest turn between two mappers" not in fired(torn)  # the model that was not kept is why
 
 
 def test_small_and_many_models_are_named(corner):

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.refused import refused
 
+from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.truth import (
-    Clock,
     Truth,
     compare_cameras,
     compare_clocks,

@@ -26,7 +26,7 @@ from devrf.capture.picture_files import read_pixels
 
 SMALLER = {"canonical_iterations": 40, "motion_iterations": 8, "rays": 512, "resolution": 40}
 # What a training took, which no two runs have in common.
-MEASURED = {"seconds", "rays_per_s", "peak_rss_gb", "peak_gpu_gb", "tracking_s", "fine_tuning_s", "wanted_s"}
+MEASURED = {"seconds", "rays_per_s", "peak_rss_gb", "peak_gpu_gb", "tracking_s", "fine_tuning_s"}
 LEFT_ASIDE = {"stamp.json", "colmap.log"}  # they tell of files, times of day and seconds
 STAGES = ("ingest", "static_poses", "sync", "rig", "colour", "scene", "flow", "canonical", "deformation")
 

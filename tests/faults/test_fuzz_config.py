@@ -51,7 +51,7 @@ BASES: dict[str, dict[str, Any]] = {
             "raw": {"white_balance": [2.0, 1.0, 1.5, 1.0]},
         },
         "calibration": {
-            "static_poses": {"mapper": "incremental", "time_minutes": 30.0},
+            "static_poses": {"mapper": "incremental"},
             "sync": {"method": "auto", "av_lag_s": {"cam0": 0.01}, "readout_s": {"cam1": 0.01}},
             "rig": {"method": "auto", "known_distance_m": 1.5},
             "colour": {"method": "auto"},

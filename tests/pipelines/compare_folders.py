@@ -5,9 +5,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from tests.pipelines.report_folder import HEIGHT, WIDTH, write_json, write_run
+from tests.pipelines.report_folder import write_json, write_run
 
 from devrf.pipelines.stages import stage_names
 
@@ -22,11 +21,6 @@ def write_two_runs(folder: Path, worse_db: float = 1.0) -> tuple[Path, Path]:
     _more_views(first, 25.0)
     shutil.copytree(first, second)
     _more_views(second, 25.0 - worse_db)
-    for n in range(VIEWS):  # other pictures, so that the slider shows two
-        cv2.imwrite(
-            str(second / f"evaluate/views/{CAMERA}/{n:06d}_rendered.png"),
-            np.full((HEIGHT, WIDTH, 3), 8 * n, np.uint8),
-        )
     set_config(first, {"preset": "tiny", "reconstruct.rays": None, "reconstruct.seed": 0})
     set_config(second, {"preset": "tiny", "reconstruct.rays": 512, "reconstruct.seed": 0})
     return first, second

@@ -172,7 +172,7 @@ def _write_evaluate(run: Path, rng: np.random.Generator) -> None:
     views = []
     for camera, n, time in [("wit<b>ness", 0, 0.0), ("wit<b>ness", 1, 0.5), ("static", 0, None)]:
         files = {}
-        for kind in ("true", "rendered", "error", "rest", "confidence"):
+        for kind in ("true", "rendered", "error", "rest"):
             path = run / "evaluate" / "views" / camera / f"{n:06d}_{kind}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8))
@@ -204,20 +204,9 @@ def _write_evaluate(run: Path, rng: np.random.Generator) -> None:
             "versions": {"devrf": "0.1.0"},
             "seed": 7,
             "truth": {"pose_rotation_deg": 0.0625, "rig_position_m": 0.0078125, "sync_ms": 0.25},
-            "confidence": _confidence(),
+            "confidence": {"moves": True, "unseen_share": 0.125, "seen_by": [{"cameras": 1, "share": 0.875}]},
         },
     )  # fmt: skip
-
-
-def _confidence() -> dict[str, object]:
-    bins = [
-        {"share": 0.5, "expected_rms": 4.0, "measured_rms": 3.5},
-        {"share": 0.5, "expected_rms": 16.0, "measured_rms": 18.5},
-    ]
-    curve = {"pixels": 99, "expected_rms": 11.5, "measured_rms": 13.25, "spearman": 0.625, "bins": bins}
-    return {"test": curve, "test_static": {**curve, "spearman": 0.375}, "test_moving": {"pixels": 0, "why": "none"},
-            "moves": True, "low_above": 32.0, "low_share": 0.0625, "unseen_share": 0.125,
-            "seen_by": [{"cameras": 1, "share": 0.125, "expected_rms": 40.5}]}  # fmt: skip
 
 
 def _row(verdict: str) -> dict:

@@ -1,13 +1,16 @@
 """Clocks of cameras that are not trained on: which are asked, what becomes of them, and what is said."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
 
+from devrf.calibration.clocks.equations import Clock
 from devrf.capture.scene import Scene
+from devrf.pipelines.clocks import clock_dict
 from devrf.pipelines.health.training import unknown_clock_rows
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import deformation
@@ -19,14 +22,12 @@ from devrf.reconstruct.view_offsets import ViewOffset
 
 
 @pytest.mark.parametrize(
-    ("std_s", "unknown"), [(0.03, ["witness"]), (None, ["witness"]), (0.0002, []), (0.0, [])]
+    ("std_s", "unknown"), [(0.03, ["witness"]), (math.inf, ["witness"]), (0.0002, []), (0.0, [])]
 )
 def test_only_clocks_that_are_not_known_are_learned(
-    odd_scene: Scene, std_s: float | None, unknown: list[str]
+    odd_scene: Scene, std_s: float, unknown: list[str]
 ) -> None:
-    clocks = {
-        name: {"offset_s": 0.0, "std_s": std_s} for name in ("cam0", "cam1", "witness", "films nothing")
-    }
+    clocks = {name: Clock(0.0, 0.0, std_s) for name in ("cam0", "cam1", "witness", "films nothing")}
     assert unknown_test_clocks(odd_scene, clocks) == unknown
 
 
@@ -36,10 +37,8 @@ def test_what_is_found_moves_no_picture(
     odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: ViewOffset, tracked: bool
 ) -> None:
     (tmp_path / "sync").mkdir()
-    clocks = {
-        "cameras": {"witness": {"offset_s": 0.0, "std_s": 0.03}, "cam0": {"offset_s": 0.0, "std_s": 0.0}}
-    }
-    (tmp_path / "sync" / "sync.json").write_text(json.dumps(clocks))
+    clocks = {name: clock_dict(Clock(0.0, 0.0, std_s)) for name, std_s in (("witness", 0.03), ("cam0", 0.0))}
+    (tmp_path / "sync" / "sync.json").write_text(json.dumps({"cameras": clocks}))
     context = Mock(
         spec=StageContext, progress=Mock(), run_dir=tmp_path, scene_dir=tmp_path, config=None, device="cpu"
     )

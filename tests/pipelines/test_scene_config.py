@@ -182,16 +182,17 @@ preset: tinny
 capture: {static: gone.mp4, cameras: {cam0: cam0.mp4, cam1: gone1.mp4}, test_cameras: [cam9]}
 reconstruct: {resolutoin: 160, rays: 3}
 flow: {method: raft, preset: fast}
-calibration: {static_poses: {check_seed: true}}
+calibration: {static_poses: {check_seed: true, time_minutes: 5}}
 """,
         ("evaluate.holdout=3", "nonsense"),
     )
     keys = "name outptu preset capture.static capture.cameras.cam1 capture.test_cameras.cam9 reconstruct.resolutoin"
     keys += " reconstruct.rays flow flow.preset calibration.static_poses.check_seed"
+    keys += " calibration.static_poses.time_minutes"
     told = {f"scene.yaml: {key}" for key in keys.split()}
     assert {":".join(line.split(":")[:2]) for line in found if line.startswith("scene.yaml")} == told
     assert any(re.fullmatch(r"--set evaluate.holdout: .* holdout_every\?", line) for line in found)
-    assert any(line.startswith("--set nonsense: ") for line in found) and len(found) == 13
+    assert any(line.startswith("--set nonsense: ") for line in found) and len(found) == 14
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,14 @@ import pytest
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.lab.simulate.session.damage import zoomed
 from devrf.pipelines.health.at_rest import at_rest_rows
-from devrf.reconstruct.check_rest import RestFit, check_rest
+from devrf.reconstruct.check_rest import RestCheck, RestFit, check_rest
 from devrf.reconstruct.displacement import Displacement
 from devrf.reconstruct.rest_model import RestModel
 
 
 def words(scene: Scene, rest: RestModel) -> dict[str, str]:
     """Row -> verdict."""
-    return {row.check.split(",")[0]: row.verdict for row in at_rest_rows(*check_rest(scene, rest))}
+    return {row.check.split(",")[0]: row.verdict for row in at_rest_rows(check_rest(scene, rest))}
 
 
 def changed(scene: Scene, change: Callable[[PosedFrame], PosedFrame], name: str = "cam1") -> Scene:
@@ -26,14 +26,15 @@ def changed(scene: Scene, change: Callable[[PosedFrame], PosedFrame], name: str 
 
 
 def test_cameras_that_are_right_fire_nothing(ball, rest: RestModel) -> None:
-    cameras, sweep = check_rest(ball.scene, rest)
-    assert list(cameras) == ["cam0", "cam1", "cam2"] and len(sweep) == 2  # no test camera is asked
-    assert {row.verdict for row in at_rest_rows(cameras, sweep)} == {"ok"}
+    found = check_rest(ball.scene, rest)
+    assert list(found.cameras) == ["cam0", "cam1", "cam2"]  # no test camera is asked
+    assert len(found.sweep) == len(found.sweep_psnr) == 2 and not found.plates
+    assert {row.verdict for row in at_rest_rows(found)} == {"ok"}
 
 
 def test_a_voxel_is_measured_at_the_middle_of_the_box(ball, rest: RestModel) -> None:
     """The box around the ball is some 1.1 wide, R = 40; cameras 2.6 to 2.9 away, 60 / 48 of a width focal length."""
-    cameras, _ = check_rest(ball.scene, rest)
+    cameras = check_rest(ball.scene, rest).cameras
     side = float((rest.canonical.aabb[1] - rest.canonical.aabb[0]).max()) / 40
     camera = ball.scene.dynamic[0].camera
     away = float((camera.centre**2).sum() ** 0.5)
@@ -71,14 +72,13 @@ def test_a_wrong_focal_length_and_other_exposure_are_seen(ball, rest: RestModel,
 
 def test_where_the_clips_never_rest_their_still_pixels_are_asked(ball, rest: RestModel) -> None:
     """Before plain white nothing is still but the background: nothing is told, nothing is claimed."""
-    cameras, sweep = check_rest(replace(ball.scene, rest_time=None), rest)
-    assert all(fit.displaced is None for fit in cameras.values())
-    assert "warn" not in {row.verdict for row in at_rest_rows(cameras, sweep)}
+    found = check_rest(replace(ball.scene, rest_time=None), rest)
+    assert all(fit.displaced is None for fit in found.cameras.values())
+    assert "warn" not in {row.verdict for row in at_rest_rows(found)}
 
 
 def test_a_scene_at_rest_alone_has_no_cameras_to_ask(ball, rest: RestModel) -> None:
-    cameras, sweep = check_rest(replace(ball.scene, dynamic=(), rest_time=None), rest)
-    assert at_rest_rows(cameras, sweep) == []
+    assert at_rest_rows(check_rest(replace(ball.scene, dynamic=(), rest_time=None), rest)) == []
 
 
 RIGHT = RestFit(25.0, Displacement(0.002, 0.0005), 0.01)
@@ -93,7 +93,7 @@ RIGHT = RestFit(25.0, Displacement(0.002, 0.0005), 0.01)
 )
 def test_what_is_too_much(wrong: RestFit, says: str) -> None:
     """Half a voxel and two standard deviations are 0.6 % of the width; 3 dB below 24 to 25 are 21.5."""
-    rows = at_rest_rows({"left": RIGHT, "right": wrong}, [RIGHT, replace(RIGHT, psnr=24.0)])
+    rows = at_rest_rows(RestCheck({"left": RIGHT, "right": wrong}, sweep=[RIGHT, replace(RIGHT, psnr=24.0)]))
     (fired,) = [row for row in rows if row.verdict == "warn"]
     assert fired.check.startswith(says) and "right" in fired.check and "right" in fired.remedy
 
@@ -106,7 +106,8 @@ def test_one_picture_of_the_sweep_that_is_not_found_again_does_not_excuse_camera
     """A blurred one of four; a camera 2 % beside is named all the same, and so is one that is not found again."""
     sweep = [RIGHT, RIGHT, RIGHT, replace(RIGHT, displaced=FAR)]
     for found in (Displacement(0.02, 0.0005), FAR):
-        rows = at_rest_rows({"left": RIGHT, "right": replace(RIGHT, displaced=found)}, sweep)
+        cameras = {"left": RIGHT, "right": replace(RIGHT, displaced=found)}
+        rows = at_rest_rows(RestCheck(cameras, sweep=sweep))
         (fired,) = [row for row in rows if row.verdict == "warn"]
         assert fired.check.startswith(BESIDE) and "right" in fired.check
 
@@ -114,11 +115,12 @@ def test_one_picture_of_the_sweep_that_is_not_found_again_does_not_excuse_camera
 def test_where_half_of_the_sweep_is_not_found_again_nothing_is_said_of_cameras() -> None:
     """Nor of one that is higher than wide, where as far as is searched is more widths."""
     high = replace(RIGHT, displaced=Displacement(0.14, 0.0, found=False))
-    rows = at_rest_rows({"high": high}, [RIGHT, replace(RIGHT, displaced=FAR)])
+    rows = at_rest_rows(RestCheck({"high": high}, sweep=[RIGHT, replace(RIGHT, displaced=FAR)]))
     assert not any(row.check.startswith(BESIDE) for row in rows)
 
 
 def test_a_sweep_that_lies_beside_its_own_model_says_how_much_is_usual() -> None:
     shaky = [replace(RIGHT, displaced=Displacement(0.008, 0.0005))] * 2
-    rows = at_rest_rows({"cam0": replace(RIGHT, displaced=Displacement(0.007, 0.0005))}, shaky)
+    cameras = {"cam0": replace(RIGHT, displaced=Displacement(0.007, 0.0005))}
+    rows = at_rest_rows(RestCheck(cameras, sweep=shaky))
     assert {row.verdict for row in rows} == {"ok"}

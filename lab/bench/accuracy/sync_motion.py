@@ -15,7 +15,6 @@ from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.clocks.geometry import check_clocks, refined
 from devrf.calibration.clocks.sync import synchronise
 from devrf.calibration.formats import find_calibration
-from devrf.calibration.truth import Clock as TrueClock
 from devrf.calibration.truth import Truth, compare_clocks, read_truth
 from devrf.capture.camera import Camera
 from devrf.capture.frames import FrameSet
@@ -66,7 +65,7 @@ def motion(cases: Cases) -> list[Row]:
             size = write_copy(capture / "videos" / f"{name}.mp4", folder, start, stride)
             K = np.diag([REAL_SCALE, REAL_SCALE, 1.0]) @ lens.K  # the clips miss some columns on the right
             cameras[name] = Camera(*size, K, lens.cam_from_world, lens.distortion)
-            clocks[name] = TrueClock((start - starts[0]) / REAL_FPS, 0.0)
+            clocks[name] = Clock((start - starts[0]) / REAL_FPS, 0.0)
         goal_ms = 1e3 * stride / REAL_FPS / 2
         rows += _measured(f"sync/motion, real, {title}", folder, cameras, Truth({}, {}, clocks), goal_ms)
     return rows
@@ -86,8 +85,7 @@ def _measured(
     known = refined(alone, check_clocks(views, alone))
 
     def row(how: str, clocks: dict[str, Clock]) -> Row:
-        ours = {n: TrueClock(c.offset_s, c.drift_ppm) for n, c in clocks.items()}
-        off = compare_clocks(truth, ours, spans)
+        off = compare_clocks(truth, clocks, spans)
         worst = max((e for n, e in off.items() if n != next(iter(clocks))), default=None)
         return Row(f"{title}, {how}, largest", worst, "ms", anchor=VISUALSYNC_MS, source=VISUALSYNC)
 

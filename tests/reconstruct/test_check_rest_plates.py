@@ -19,12 +19,11 @@ from devrf.pipelines.health.at_rest import (
     MOST_OF_PLATE,
     MOST_OF_REST,
     MOSTLY,
-    plate_rows,
+    at_rest_rows,
 )
 from devrf.pipelines.health.rows import HealthRow
 from devrf.reconstruct.aligned import aligned
-from devrf.reconstruct.check_plates import PlateFit, check_plates
-from devrf.reconstruct.check_rest import RestFit
+from devrf.reconstruct.check_rest import PlateFit, RestCheck, RestFit, check_rest
 from devrf.reconstruct.displacement import Displacement
 
 WIDTH, HEIGHT, COUNT, RESTS = 128, 96, 21, 4
@@ -83,8 +82,14 @@ def checked(scene: Scene, stands: np.ndarray = ROOM) -> tuple[dict[str, PlateFit
     shown = stands.copy()
     shown[40:60, 10:30] = [0.9, 0.2, 0.1]
     rendered = gaussian_filter(shown, (0.7, 0.7, 0)).astype(np.float32)
-    plates, held_out = check_plates(scene, moving_ball("shell").rest, lambda camera: rendered)
-    return plates, plate_rows(plates, held_out, SWEEP)
+    return plates_of(scene, rendered)
+
+
+def plates_of(scene: Scene, rendered: np.ndarray) -> tuple[dict[str, PlateFit], list[HealthRow]]:
+    """What is measured of plates against what a model shows, and the rows about them alone."""
+    found = check_rest(scene, moving_ball("shell").rest, lambda camera: rendered)
+    plates = dict(found.plates)
+    return plates, at_rest_rows(RestCheck({}, plates, SWEEP, found.sweep_psnr))
 
 
 def as_it_is(picture: np.ndarray, n: int) -> np.ndarray:
@@ -185,8 +190,8 @@ def test_what_the_sweep_never_showed(tmp_path: Path) -> None:
     """The model shows something else altogether: no shift and no gain takes that away."""
     scene = filmed(tmp_path / "clip", as_it_is)
     other = gaussian_filter(ROOM, (6, 6, 0)).astype(np.float32)
-    plates, _ = check_plates(scene, moving_ball("shell").rest, lambda camera: other)
-    row = plate_rows(plates, [30.0, 31.0], [])[0]
+    plates, _ = plates_of(scene, other)
+    row = at_rest_rows(RestCheck({}, plates, sweep_psnr=[30.0, 31.0]))[0]
     assert row.verdict == "warn" and "cam0" in row.remedy
     assert plates["cam0"].by_light < MOSTLY
 
@@ -204,8 +209,7 @@ def test_no_plates_no_rows(tmp_path: Path) -> None:
         replace(scene, dynamic=tuple(replace(f, split="test") for f in scene.dynamic)),
         replace(scene, dynamic=tuple(moving)),
     ):
-        plates, held_out = check_plates(changed, moving_ball("shell").rest, lambda camera: ROOM)
-        assert plates == {} and plate_rows(plates, held_out, SWEEP) == []
+        assert plates_of(changed, ROOM) == ({}, [])
 
 
 def test_a_picture_is_laid_on_another_one() -> None:
