@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devrf.capture.simulate.bodies import blocks, figure, leaving, plant, rod
+from devrf.capture.simulate.bodies import blocks, figure, gesturing, leaving, plant, rod
 from devrf.capture.simulate.changing import appearing, ease, parting, tumbling
 from devrf.capture.simulate.scenes import PRINT, WOOD, Mesh, MovingObject, box, texture
 from devrf.capture.simulate.session_options import SessionOptions
@@ -136,5 +136,6 @@ OBJECTS = {
     "figure": ObjectKind("a person who walks", figure),
     "plant": ObjectKind("a flower on a table that bends over and rises again", plant),
     "leaving": ObjectKind("a small aircraft that leaves the pictures and comes back", leaving),
+    "gesturing": ObjectKind("a person who stands and talks with the hands", gesturing),
     "rod": ObjectKind("a thin rod that swings", rod),
 }

@@ -1,17 +1,17 @@
 """How likely pictures are if a surface point is where it rests, and if something else is seen in its place.
 
-A point's look is five numbers of the logarithm of brightness. Three are paint: fine pattern and two of chromaticity. Two
-are light: coarse pattern and brightness, which shade changes, too. If the point is there, it looks as at rest up to
-noise, or has its own paint in the light of its surroundings. If something else is there, it looks like any place around
-the point or anywhere in the picture at rest: a kernel density (Parzen, 1962). Where surroundings look like the point,
-both are equally likely and the picture tells nothing.
+A point's look is five numbers of the logarithm of brightness. Three are paint: fine pattern and two of chromaticity.
+Two are light: coarse pattern and brightness, which shade changes, too. If the point is there, it looks as at rest up
+to noise, or has its own paint in the light of its surroundings. If something else is there, it looks like any place
+around the point or anywhere in the picture at rest: a kernel density (Parzen, 1962). Where surroundings look like the
+point, both are equally likely and the picture tells nothing.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32
 
 from devrf.reconstruct.tracking.film import DARK, REFERENCE_SIDE, Film, blurred, sampled
 from devrf.reconstruct.tracking.sight import Sight
