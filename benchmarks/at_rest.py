@@ -26,7 +26,7 @@ from script import arguments, finish
 from devrf.calibration.truth import read_truth
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import load_image
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.stages.evaluate import compare
 from devrf.reconstruct.metrics import psnr

@@ -18,9 +18,9 @@ from pathlib import Path
 from benchmarks.script import arguments, finish
 from tests.pipelines.tiny_scenes import tiny_scene
 
+from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.batch.ray_cluster import LOOPBACK_ONLY, SILENT
 from devrf.pipelines.batch.scenes import Options, look, stand
-from devrf.pipelines.bench.rows import Row
 
 GOAL = 0.9  # of the local pool's throughput
 TASKS = 400  # empty ones; Ray has started its workers after the first fifty

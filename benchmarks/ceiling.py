@@ -21,7 +21,7 @@ from devrf.calibration.truth import Clock, read_truth, similarity
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.clocks_in_use import clocks_in_use
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.stages.evaluate import true_masks

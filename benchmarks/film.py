@@ -20,7 +20,7 @@ from benchmarks.script import arguments, finish
 
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.progress import no_progress
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.cli_options import configured
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.film.asked import Asked

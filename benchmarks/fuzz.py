@@ -29,7 +29,7 @@ from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.video_writer import write_video
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 
 CASES, MOST_S, MOST_MB = 300, 10.0, 1000.0
 CLIPS = {"cam0": "cam0.mp4", "cam1": "cam1.mp4"}

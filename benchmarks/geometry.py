@@ -23,11 +23,11 @@ from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene
 from devrf.capture.scene import Scene
-from devrf.capture.simulate.objects import make_object
-from devrf.capture.simulate.scenes import Mesh, room
-from devrf.capture.simulate.session import standing_board
-from devrf.capture.simulate.session_options import SessionOptions
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
+from devrf.lab.simulate.scenes.catalogue import Mesh, room
+from devrf.lab.simulate.scenes.objects import make_object
+from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.session.simulate_session import standing_board
 
 RESULT, PICTURE = Path("benchmarks/results/geometry-cpu.json"), Path("docs/export.jpg")
 SPACING_M = 0.0015  # of the samples of the true surfaces

@@ -53,9 +53,11 @@ COUNT_SHARE = 0.02
 TRAINING_TIMES = 1.2  # the example's trainings, beside those of the version they are compared with
 CASES = cases()
 DIGEST = """
-import hashlib, importlib, pathlib
+import hashlib, importlib, importlib.util, pathlib
 digest = hashlib.sha256()
-for room in ("capture", "calibration", "flow", "reconstruct", "pipelines"):
+for room in ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab"):
+    if importlib.util.find_spec("devrf." + room) is None:
+        continue  # an earlier version
     folder = importlib.import_module("devrf." + room).__path__[0]
     for file in sorted(pathlib.Path(folder).rglob("*")):
         if file.is_file() and "__pycache__" not in file.parts:
@@ -77,7 +79,7 @@ open(sys.argv[1], "w").write(json.dumps(done))
 FIRST_SEVERITIES = """
 import sys
 from dataclasses import replace
-from devrf.pipelines.bench.stability.axes import AXES
+from devrf.lab.bench.stability.axes import AXES
 from devrf.pipelines.cli import app
 for name, axis in AXES.items():
     AXES[name] = replace(axis, severities=axis.severities[:1])

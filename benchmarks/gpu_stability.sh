@@ -17,7 +17,7 @@ python=${PYTHON:-$([ -x .venv/bin/python ] && echo .venv/bin/python || echo pyth
 scene=()
 if [ $# -gt 0 ] && [ "${1#-}" = "$1" ]; then
   scene=("$1" $("$python" -c '
-from devrf.pipelines.bench.stability.session import SETTINGS
+from devrf.lab.bench.stability.small_session import SETTINGS
 print(*(f"--set {setting}" for setting in SETTINGS))'))
   [ -d "$1" ] && scene[0]="$1/scene.yaml"
   shift

@@ -19,7 +19,7 @@ from pathlib import Path
 from lines import PRODUCT, of_folder
 from script import arguments, finish
 
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 
 ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = [sys.executable, "-m", "devrf.pipelines.cli"]

@@ -10,7 +10,7 @@ import sys
 import tokenize
 from pathlib import Path
 
-PRODUCT = ("capture", "calibration", "flow", "reconstruct", "pipelines", "src", "benchmarks")
+PRODUCT = ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab", "src", "benchmarks")
 NOT_CODE = {
     tokenize.COMMENT,
     tokenize.NL,

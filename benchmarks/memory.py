@@ -24,7 +24,7 @@ from tests.scenes import UNIT_BOX, scene_of
 from devrf.capture.processes import memory_of
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import CameraFlow
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.footprint import footprint
 from devrf.reconstruct.memory_fit import UNSURE

@@ -18,7 +18,7 @@ from tests.browser.conftest import FLAGS
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.metrics import psnr
 from devrf.reconstruct.model import render_view

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from devrf.pipelines.bench.rows import Row, publish
+from devrf.lab.bench.bench_rows import Row, publish
 from devrf.pipelines.console import Talk
 from devrf.pipelines.stages.evaluate import versions
 

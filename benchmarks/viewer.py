@@ -16,7 +16,7 @@ from benchmarks.script import arguments, finish
 
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import to_8_bits
-from devrf.pipelines.bench.rows import Row
+from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.viewer.site import CHUNK_CPU, TRY_SCALE, settle
 from devrf.pipelines.viewer.source import Loaded, load, look

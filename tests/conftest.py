@@ -32,7 +32,7 @@ RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 # of `whole_run`; they take minutes, so one worker makes each for all tests
 RUNS = ("example_run", "small_run")
 # longest first, so that no worker ends long after the others
-FIRST = ("end_to_end", "browser", "faults", "pipelines")
+FIRST = ("end_to_end", "browser", "faults", "lab", "pipelines")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -8,7 +8,16 @@ from pathlib import Path
 from tests.test_package import PYTHONS
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-BUILT_OF = ("src", "examples/waving-sheet", "capture", "calibration", "flow", "reconstruct", "pipelines")
+BUILT_OF = (
+    "src",
+    "examples/waving-sheet",
+    "capture",
+    "calibration",
+    "flow",
+    "reconstruct",
+    "pipelines",
+    "lab",
+)
 BESIDE = ("pyproject.toml", "setup.py", "README.md", "LICENSE", "NOTICE", "constraints.txt")
 PREDEFINED = {"HOME", "PATH", "HOSTNAME"}
 

@@ -67,7 +67,7 @@ def test_docstring_examples_hold() -> None:
     import doctest
     import importlib
 
-    for room in ("capture", "calibration", "flow", "reconstruct", "pipelines"):
+    for room in ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab"):
         for path in (REPOSITORY / room).rglob("*.py"):
             if ">>> " in path.read_text():
                 name = ".".join(("devrf", *path.relative_to(REPOSITORY).with_suffix("").parts))

@@ -1,4 +1,4 @@
-"""What is installed: every source and data file of the five folders, the example, and nothing else."""
+"""What is installed: every source and data file of the six folders, the example, and nothing else."""
 
 import os
 import re
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines")
+ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab")
 
 
 EXAMPLE = "examples/waving-sheet"
@@ -66,11 +66,13 @@ def test_size_licences_and_the_way_in(wheel: Path) -> None:
     assert wheel.stat().st_size < MOST_BYTES
     with zipfile.ZipFile(wheel) as archive:
         texts = {Path(name).name: archive.read(name) for name in archive.namelist() if ".dist-info/" in name}
-    assert texts["entry_points.txt"].split() == [
-        b"[console_scripts]",
-        b"devrf-pipeline",
-        b"=",
-        b"devrf.__main__:main",
+    points = [line for line in texts["entry_points.txt"].decode().splitlines() if line]
+    assert points == [
+        "[console_scripts]",
+        "devrf-pipeline = devrf.__main__:main",
+        "[devrf.commands]",
+        "bench = devrf.lab.bench.bench_command:bench",
+        "simulate = devrf.lab.lab_commands:simulate",
     ]
     assert texts["LICENSE"] == (REPOSITORY / "LICENSE").read_bytes() and b"Version 2.0" in texts["LICENSE"]
     assert texts["NOTICE"] == (REPOSITORY / "NOTICE").read_bytes()
@@ -94,6 +96,7 @@ def test_installed_elsewhere_it_runs_its_example(wheel: Path, tmp_path: Path) ->
         return ended.stdout
 
     assert called("--version").startswith("devrf ")
+    assert "ablation" in called("bench", "--help") and "--protocol" in called("simulate", "--help")
     called("demo", "here", "--until", "ingest", "--quiet")
     stamp = tmp_path / "here" / "runs" / "sheet" / "ingest" / "stamp.json"
     assert stamp.is_file() and str(REPOSITORY) not in stamp.read_text()

@@ -1,7 +1,7 @@
 """The pictures of the capture guide, from the example session: `python docs/site/pictures.py`.
 
-What is wrong in them is made of what is right by the damage that `bench stability` does (capture/simulate/damage.py),
-so how wrong it is is known.
+What is wrong in them is made of what is right by the damage that `bench stability` does
+(lab/simulate/session/damage.py), so how wrong it is is known.
 """
 
 import json
@@ -17,8 +17,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from devrf.capture.audio import read_sound
-from devrf.capture.simulate.damage import blurred, relit
 from devrf.capture.video import VideoReader
+from devrf.lab.simulate.session.damage import blurred, relit
 
 DOCS = Path(__file__).resolve().parents[1]
 EXAMPLE = DOCS.parent / "examples" / "waving-sheet"

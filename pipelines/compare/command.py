@@ -9,7 +9,6 @@ from typing import Any
 from devrf.capture.durable import write_json
 from devrf.capture.errors import InputError
 from devrf.capture.writable import check_file, check_folder
-from devrf.pipelines.bench.rows import print_table
 from devrf.pipelines.compare.differing import differing_code, differing_config, differing_versions
 from devrf.pipelines.compare.measures import MEASURES, Difference, differences, seed_differences, value_of
 from devrf.pipelines.compare.runs import ComparedRun, common_views, find_runs, limits_of
@@ -18,6 +17,7 @@ from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.report.pictures import picture_uri
 from devrf.pipelines.report.run import METRICS, at, evenly
 from devrf.pipelines.report.templates import MADE_BY, readable, render
+from devrf.pipelines.tables import print_table
 from devrf.reconstruct.paired import CONFIDENCE
 
 PAGE, ROWS = "compare.html", "compare.json"

@@ -11,7 +11,7 @@ from devrf.calibration.clocks.flash import Brightness, find_flashes, flash_delay
 from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.clips import Keep, extract_clip
-from devrf.capture.simulate.flash import RollingShutter, exposed, film_flashes
+from devrf.lab.simulate.session.flash import RollingShutter, exposed, film_flashes
 
 FPS, SECONDS = 30.0, 4.0
 FLASHES_S = (0.83, 1.347, 2.291, 3.018)

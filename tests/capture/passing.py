@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.camera import Camera
-from devrf.capture.simulate.dataset import lens
-from devrf.capture.simulate.models import MODELS
-from devrf.capture.simulate.scenes import Mesh, Paint, picture_on_quad, texture
-from devrf.capture.simulate.studio import Studio
 from devrf.capture.view_axes import look_at
+from devrf.lab.simulate.protocol.simulate_dataset import lens
+from devrf.lab.simulate.render.studio import Studio
+from devrf.lab.simulate.scenes.catalogue import Mesh, Paint, picture_on_quad, texture
+from devrf.lab.simulate.scenes.models import MODELS
 
 FLOOR_Z, WALL_Y, HALF, SPAN = -1.0, 1.6, 4.5, 2.0  # world units; the middle goes from -SPAN to SPAN
 TEXELS, TEXEL = 400, 0.02

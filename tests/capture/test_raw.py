@@ -17,8 +17,8 @@ from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.raw import Development, Recipe, develop, is_raw, recipe_for
 from devrf.capture.raw_set import develop_set, read_raw_sidecar
-from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
+from devrf.lab.simulate.session.dng import mosaic, write_dng
 
 HEIGHT, WIDTH = 96, 128
 BLACK, WHITE = (512, 512, 512, 512), 16383

@@ -100,7 +100,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
     (folder / "devrf").mkdir()
     shutil.copy(REPOSITORY / "src" / "devrf" / "__init__.py", folder / "devrf")
-    for room in ("capture", "calibration", "flow", "reconstruct"):
+    for room in ("capture", "calibration", "flow", "reconstruct", "lab"):
         os.symlink(REPOSITORY / room, folder / "devrf" / room)
     shutil.copytree(REPOSITORY / "pipelines", folder / "devrf" / "pipelines")
     write_files(folder / "devrf")

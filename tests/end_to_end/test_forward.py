@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from devrf.capture.simulate.dataset_options import ForwardOptions
-from devrf.capture.simulate.forward import simulate_forward
+from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
+from devrf.lab.simulate.protocol.forward import simulate_forward
 
 pytestmark = pytest.mark.full
 

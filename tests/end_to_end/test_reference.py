@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from devrf.capture.simulate.dataset import simulate_dataset
-from devrf.capture.simulate.dataset_options import DatasetOptions
+from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
+from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 from devrf.reconstruct.evaluate import motion_psnr
 
 pytestmark = pytest.mark.full

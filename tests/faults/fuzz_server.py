@@ -18,8 +18,8 @@ import rawpy  # noqa: F401 (imported before the first fork, as the rest)
 from tests.faults.fuzz_readers import READERS
 
 from devrf.capture.errors import DevrfError
+from devrf.lab.bench import bench_command  # noqa: F401
 from devrf.pipelines import cli, configured_dataset, preflight  # noqa: F401
-from devrf.pipelines.bench import cli as bench_cli  # noqa: F401
 from devrf.pipelines.stages import STAGES, ingest, scene, sync  # noqa: F401
 from devrf.reconstruct import model_io  # noqa: F401
 

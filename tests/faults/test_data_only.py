@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from tests.conftest import REPOSITORY
 
-ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines")
+ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab")
 ONLY_IN = {  # module or call -> the files that may
     "xml": ("calibration/formats/qualisys.py",),  # entities are refused there
     "Image.open": ("capture/picture_files.py",),  # the doors of docs/security.md, which ask for sizes first

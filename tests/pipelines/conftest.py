@@ -8,25 +8,6 @@ import numpy as np
 import pytest
 from tests.pipelines.small_stages import SCENE
 
-from devrf.capture.simulate.dataset import simulate_dataset
-from devrf.capture.simulate.dataset_options import DatasetOptions
-
-SMALL = {
-    "resolution": 16, "rays": 128, "canonical_iterations": 60, "motion_iterations": 10, "image_scale": 1.0,
-}  # fmt: skip
-SETTINGS = [part for key, value in SMALL.items() for part in ("--set", f"reconstruct.{key}={value}")]
-
-
-@pytest.fixture(scope="session")
-def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of 32 x 32 pictures for benchmarks; SETTINGS are quick on it."""
-    folder = tmp_path_factory.mktemp("arm")
-    options = DatasetOptions(
-        static_views=14, static_test_views=1, times=3, test_views_per_time=1, spp=4, motion_scale=0.3
-    )
-    simulate_dataset(folder, "arm", cameras=2, size=(32, 32), options=options)
-    return folder
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:

@@ -21,7 +21,7 @@ from devrf.capture.frames import CameraFrames, FrameRecord
 from devrf.capture.picture_files import write_png
 from devrf.capture.progress import no_progress
 from devrf.capture.recorded import Recorded, timecode_s
-from devrf.capture.simulate.flash import RollingShutter, exposed
+from devrf.lab.simulate.session.flash import RollingShutter, exposed
 from devrf.pipelines.clock_check import (
     MIN_FRAMES,
     check_rows,

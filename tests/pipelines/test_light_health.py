@@ -12,9 +12,9 @@ from devrf.calibration.flicker import Change, Flicker, LightFound, judge_light
 from devrf.capture.light import LightCourse
 from devrf.capture.pictures import write_picture
 from devrf.capture.raw_set import develop_set, read_raw_sidecar
-from devrf.capture.simulate.dng import mosaic, write_dng
 from devrf.capture.srgb import srgb_from_linear
 from devrf.capture.video_writer import write_video
+from devrf.lab.simulate.session.dng import mosaic, write_dng
 from devrf.pipelines.health.light import changes_alike, clip_rows, exposure_rows, raw_rows
 from devrf.pipelines.health.rows import HealthRow
 

@@ -18,13 +18,13 @@ from tests.pipelines.small_stages import ALL, job, small_stages, write
 
 from devrf.capture.errors import CaptureError
 from devrf.pipelines import console, logs
-from devrf.pipelines.bench.rows import print_table
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.health.rows import row
 from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, Events
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
+from devrf.pipelines.tables import print_table
 
 
 def events_of(run_dir: Path) -> list[dict]:

@@ -8,7 +8,7 @@ import cv2
 import pytest
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.capture.simulate.damage import zoomed
+from devrf.lab.simulate.session.damage import zoomed
 from devrf.pipelines.health.at_rest import at_rest_rows
 from devrf.reconstruct.check_rest import RestFit, check_rest
 from devrf.reconstruct.displacement import Displacement

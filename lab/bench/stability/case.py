@@ -1,0 +1,250 @@
+"""One case: the real pipeline on a damaged scene, in a run folder of its own, and what came of it.
+
+What cases have in common is made once: all keep their stages in one cache, and a stage behind which damage is done has
+the damage among its inputs, so that stamps and cache tell it from the real one. A stage that fails is a result; a fault
+of the program or of the machine (no memory, a full disk) is none and ends the suite, which goes on later.
+"""
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+
+from devrf.capture.errors import DevrfError, InputError
+from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.scene import Scene
+from devrf.lab.bench.stability.axes import AXES
+from devrf.lab.bench.stability.damage.intact import Damage, Intact
+from devrf.lab.sources import code_of
+from devrf.pipelines.config.scene import CacheConfig
+from devrf.pipelines.console import Talk
+from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
+from devrf.pipelines.health.rows import Verdict
+from devrf.pipelines.runner.execute import execute
+from devrf.pipelines.runner.plan import Choice, read_health
+from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.workspace import is_disk_full
+from devrf.pipelines.stage import Stage
+from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
+from devrf.pipelines.stamps.stamp import read_stamp
+from devrf.reconstruct.evaluate import motion_psnr
+
+LAST = "evaluate"  # what follows shows the result and does not change it
+UNDISTURBED = "undisturbed"
+CACHE_GB = 100.0
+_OF_WHICH = re.compile(r" \([^()]*\)$")  # behind a check's name: its worst camera
+
+
+@dataclass(frozen=True)
+class Complaint:
+    """A health row that warns or fails, of a kind that people in the field would see too.
+
+    Attributes:
+        stage, check, verdict, value: Of the row.
+        kind: The check without which camera it is about, which may be another one each time.
+    """
+
+    stage: str
+    check: str
+    verdict: Verdict
+    value: float | str | None
+    kind: str
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of one case.
+
+    Attributes:
+        axis, severity, seed: Which case; the axis of the undisturbed one is `UNDISTURBED`.
+        stopped: What was said where a stage failed ("rig: ..."); None where the result is whole.
+        psnr, lpips: Of the test views.
+        psnr_moving: Of the test views, where they move; whole, where no test camera stands.
+        baseline: The scene at rest in place of the test views, there too.
+        rotation_deg, position_m, sync_ms: Largest errors of the fixed cameras and of the clocks; None without a truth.
+        seconds: That its stages took, whether they were made for this case or for another.
+        complaints: All health rows that warn or fail and need no answer to compare with.
+        films_anew: Whether its test views show something else than those of the undisturbed case.
+    """
+
+    axis: str
+    severity: float
+    seed: int
+    stopped: str | None = None
+    psnr: float | None = None
+    lpips: float | None = None
+    psnr_moving: float | None = None
+    baseline: float | None = None
+    rotation_deg: float | None = None
+    position_m: float | None = None
+    sync_ms: float | None = None
+    seconds: float = 0.0
+    complaints: tuple[Complaint, ...] = ()
+    films_anew: bool = False
+
+
+class _Listener(Talk):
+    """Prints nothing and remembers what went wrong; the run folder's log has the rest."""
+
+    def __init__(self) -> None:
+        super().__init__("quiet")
+        self.out = self.err = Console(quiet=True)
+        self.errors: list[tuple[str, str]] = []  # code and text
+
+    def error(self, text: str, code: str) -> None:
+        self.errors.append((code, text))
+        super().error(text, code)
+
+
+def run_case(
+    base: Run, out: Path, axis: str, severity: float, seed: int, undisturbed: Scene | None = None
+) -> tuple[Result, Path]:
+    """Run one case, or go on with it.
+
+    Args:
+        base: The scene; its configuration is the undisturbed case's.
+        out: Folder of all cases.
+        axis, severity, seed: Which.
+        undisturbed: What the undisturbed case of the same seed made; None for that case itself.
+    Returns:
+        What came of it, and its run folder.
+    Raises:
+        DoesNotApply: The axis means nothing for this scene.
+        InputError: The run folder cannot be used.
+        DevrfError: The program or the machine failed, which says nothing about the damage.
+    """
+    folder = _folder(out, axis, severity, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    config = base.config.model_copy(
+        update={
+            "output": str((folder / "run").resolve()),
+            "cache": CacheConfig(folder=str((out / "cache").resolve()), max_gb=CACHE_GB),
+            "reconstruct": base.config.reconstruct.model_copy(update={"seed": seed}),
+            # A slow machine breaks nothing.
+            "budget": base.config.budget.model_copy(update={"time_minutes": None}),
+        }
+    )
+    done = Damage(config)
+    if undisturbed is not None:
+        intact = Intact(config, base.scene_dir, undisturbed, folder.resolve(), severity, seed)
+        done = AXES[axis].damaging(intact)
+    stages = [_damaged(s, done, folder, axis, severity, seed) if s.name == done.stage else s for s in STAGES]
+    heard, refusals = _Listener(), list[DevrfError]()
+    watched = [_watched(stage, refusals) for stage in stages]
+    run = Run(
+        done.config, base.scene_dir, watched, Choice(last=LAST, allow_unhealthy=True), heard, base.device
+    )
+    code = execute(run)
+    of_error, text = heard.errors[-1] if heard.errors else ("", "")
+    if code == STOPPED:
+        base.talk.error(text, of_error)
+        raise typer.Exit(code)
+    if code == BAD_INPUT:  # never of a stage: another run holds the folder, or it may not be written
+        raise InputError(of_error, text)
+    if code != DONE and not refusals:
+        raise DevrfError(of_error, f"{axis} {severity:g}, seed {seed}: {text}")
+    stopped = None if code == DONE else text.partition("\nlog: ")[0]
+    cameras = _cameras(base, run, undisturbed)
+    return _result(run.run_dir, axis, severity, seed, stopped, run.fresh, cameras), run.run_dir
+
+
+def kind_of(check: str, cameras: Iterable[str]) -> str:
+    """A check's name without which camera it is about.
+
+    Args:
+        check: "points that cam0 shares with the sweep", "points in view, worst camera (cam0)".
+        cameras: Names of all fixed cameras.
+    """
+    names = sorted(cameras, key=len, reverse=True)  # else `cam` would be found in `cam-left`
+    if names:
+        words = "|".join(re.escape(name) for name in names)
+        check = re.sub(rf"(?<!\w)(?:{words})(?!\w)", "a camera", check)
+    return _OF_WHICH.sub("", check)
+
+
+def _cameras(base: Run, run: Run, undisturbed: Scene | None) -> Iterable[str]:
+    """Names of the fixed cameras, those that a case leaves out too; a data set's are its scene's."""
+    if base.config.capture is not None:
+        return base.config.capture.all_cameras
+    if undisturbed is None and "scene" in run.fresh:
+        undisturbed = read_scene(run.run_dir / "scene")
+    return () if undisturbed is None else {frame.camera_name for frame in undisturbed.dynamic}
+
+
+def _result(
+    run_dir: Path,
+    axis: str,
+    severity: float,
+    seed: int,
+    stopped: str | None,
+    stages: Sequence[str],
+    cameras: Iterable[str],
+) -> Result:
+    """What a run folder says of a case; of stages that are the case's own, not of an earlier run's."""
+    complaints = tuple(
+        Complaint(stage, row.check, row.verdict, row.value, kind_of(row.check, cameras))
+        for stage in stages
+        for row in read_health(run_dir / stage)
+        if row.verdict != "ok" and not row.check.startswith(NEEDS_TEST_VIEWS)
+    )
+    stamps = [read_stamp(run_dir / stage) or {} for stage in stages]
+    seconds = sum(stamp.get("seconds") or 0.0 for stamp in stamps)
+    anew = axis in AXES and AXES[axis].films_anew
+    result = Result(axis, severity, seed, stopped, seconds=seconds, complaints=complaints, films_anew=anew)
+    if stopped is not None:
+        return result
+    metrics = json.loads((run_dir / LAST / "metrics.json").read_text())
+    truth = metrics.get("truth", {})
+    moving, baseline = motion_psnr(metrics)
+    return replace(
+        result,
+        psnr=metrics["test"]["psnr"],
+        lpips=metrics["test"]["lpips_vgg"],
+        psnr_moving=moving,
+        baseline=baseline,
+        rotation_deg=truth.get("rig_rotation_deg"),
+        position_m=truth.get("rig_position_m"),
+        sync_ms=truth.get("sync_ms"),
+    )
+
+
+def is_made(out: Path, axis: str, severity: float, seed: int) -> bool:
+    """Whether a case was run to its end already; it may have to be run again all the same."""
+    return (_folder(out, axis, severity, seed) / "run" / LAST / "stamp.json").is_file()
+
+
+def _folder(out: Path, axis: str, severity: float, seed: int) -> Path:
+    return out / f"{axis}-{severity:g}" / f"seed{seed}"
+
+
+def _watched(stage: Stage, refusals: list[DevrfError]) -> Stage:
+    """The stage; the errors by which it says what is wrong with the scene are kept. No other is of the damage."""
+
+    def run(context: Any) -> None:
+        try:
+            stage.run(context)
+        except DevrfError as error:
+            if not is_disk_full(error):
+                refusals.append(error)
+            raise
+
+    return replace(stage, run=run)
+
+
+def _damaged(stage: Stage, done: Damage, folder: Path, axis: str, severity: float, seed: int) -> Stage:
+    """The stage, and damage behind it."""
+    file = folder / "damage.json"
+    code = code_of("lab/bench/stability/damage", "lab/simulate/session")
+    file.write_text(json.dumps({"axis": axis, "severity": severity, "seed": seed, "code": code}))
+
+    def run(context: Any) -> None:
+        stage.run(context)
+        done.behind(context)
+
+    return replace(stage, run=run, inputs=lambda *of: {**stage.inputs(*of), "damage": file})

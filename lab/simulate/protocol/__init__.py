@@ -1,0 +1,1 @@
+"""Data sets by the paper's protocol: from all around, or from side by side."""

@@ -1,0 +1,1 @@
+"""What is filmed: objects, rooms, textures, and the options of a session."""

@@ -1,0 +1,87 @@
+"""`devrf-pipeline simulate`: what the words of the command line become, and what it says of wrong ones."""
+
+from pathlib import Path
+
+import pytest
+from tests.refused import refused
+
+from devrf.capture.errors import InputError
+from devrf.lab import simulate_command
+from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
+from devrf.lab.simulate.protocol.simulate_dataset import Made
+from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.pipelines.console import Talk
+
+
+@pytest.mark.parametrize(
+    ("protocol", "expected"),
+    [
+        ("session", ("sheet", 4, (480, 360), SessionOptions)),
+        ("devrf", ("vehicle", 4, (400, 400), DatasetOptions)),
+        ("devrf-forward", ("flower", 3, (480, 270), ForwardOptions)),
+    ],
+)
+def test_each_protocol_has_its_own_defaults(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, expected: tuple
+) -> None:
+    got: list[tuple] = []
+
+    def render(out, scene, *, cameras, seed, size, options, progress):
+        got.append((scene, cameras, size, type(options)))
+        assert seed == 0 and options.spp == 12
+        return out / "scene.yaml" if protocol == "session" else Made(out / "scene.yaml", 1)
+
+    chosen = simulate_command.PROTOCOLS[protocol]
+    changed = type(chosen)(chosen.options, render, chosen.scene, chosen.cameras, chosen.size)
+    monkeypatch.setitem(simulate_command.PROTOCOLS, protocol, changed)
+    simulate_command.simulate(Talk(), tmp_path, None, protocol, None, 0, None, ["spp=12"])
+    assert got == [expected]
+
+
+def test_a_complete_data_set_is_said_to_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    chosen = simulate_command.PROTOCOLS["devrf"]
+    made = Made(tmp_path / "scene.yaml", 0)
+    changed = type(chosen)(chosen.options, lambda *_, **__: made, "arm", 4, "64x64")
+    monkeypatch.setitem(simulate_command.PROTOCOLS, "devrf", changed)
+    simulate_command.simulate(Talk(), tmp_path, None, "devrf", None, 0, None, [])
+    said = "".join(capsys.readouterr()).replace("\n", " ")
+    assert f"devrf-pipeline run {made.scene_yaml}" in said
+
+
+@pytest.mark.parametrize(
+    ("protocol", "size", "settings", "refusal", "named"),
+    [
+        ("devfr", None, [], "option-unknown-value", ("devfr", "session, devrf, devrf-forward")),
+        ("devrf", "400", [], "option-malformed", ("--size 400: ", "400x400")),
+        ("devrf", None, ["tims=3"], "option-malformed", ("tims", "times?")),
+        ("devrf", None, ["fps=3"], "option-malformed", ("fps: ", "static_views")),
+        ("devrf-forward", None, ["spread=9"], "option-malformed", ("spread: 9",)),
+        ("session", None, ["fps"], "option-malformed", ("--set fps: ", "name=value")),
+    ],
+)
+def test_wrong_words_are_named(
+    tmp_path: Path, protocol: str, size: str | None, settings: list[str], refusal: str, named: tuple[str, ...]
+) -> None:
+    with refused(refusal, *named, kind=InputError):
+        simulate_command.simulate(Talk(), tmp_path / "x", None, protocol, None, 0, size, settings)
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for protocol in simulate_command.PROTOCOLS:
+        with refused("folder-unwritable", tmp_path / "file", kind=InputError):
+            simulate_command.simulate(Talk(), tmp_path / "file" / "x", None, protocol, None, 0, None, [])
+
+
+def test_every_option_is_documented() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
+    rows = page.split("### Options of simulate")[1].split("\n## ")[0].splitlines()
+    for protocol in simulate_command.PROTOCOLS.values():
+        for name, field in protocol.options.model_fields.items():
+            default = str(field.default).lower().replace("(", "[").replace(")", "]")
+            assert any(row.startswith(f"| `{name}`") and default in row for row in rows), (
+                f"{name} = {default}"
+            )
