@@ -3,7 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -23,16 +23,8 @@ from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
-from devrf.reconstruct.tracking.moving_points import (
-    AWAY,
-    TOGETHER,
-    _away,
-    _cut,
-    _rises,
-    _seen_by_two,
-    _votes,
-    moving_points,
-)
+from devrf.reconstruct.tracking.likelihoods import MOMENTS, Likelihoods, likelihoods
+from devrf.reconstruct.tracking.moving_points import PRIOR, _cut, _in_planes, _log_odds, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.shot import Shot
@@ -47,6 +39,7 @@ CENTRES = np.array([[-0.4, 0.0, 0.0], [0.4, 0.0, 0.1]])
 PICTURES, REST = 9, 4  # of each camera; number of the one at rest
 GAP = 1 / (PICTURES - 1)
 WALL = -0.8  # y of the wall behind the cards
+GONE_LATER = [3.0] * 8 + [-3.0] * (MOMENTS - 8)
 
 
 def texture(seed: int) -> np.ndarray:
@@ -635,30 +628,38 @@ def test_the_wall_stands_and_the_cards_move(films: list[Film], hues: bool) -> No
     assert moves[:cards].mean() > 0.95 and moves[cards:].mean() < 0.05
 
 
-def test_a_shoe_does_not_belong_to_the_floor_of_its_colour() -> None:
+def flat(side: int) -> np.ndarray:
+    """Points of a level square."""
+    along = np.arange(-side // 2, side // 2) * SPACING
+    return np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(side**2)], 1)
+
+
+def level(xyz: np.ndarray, rgb: np.ndarray | float = 0.4) -> Surface:
+    """A surface of points that all look up."""
+    colours = np.broadcast_to(np.asarray(rgb).reshape(-1, 1), xyz.shape)
+    return Surface(xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), colours, SPACING)
+
+
+@pytest.mark.parametrize(("height", "moves"), [(1.5 * SPACING, True), (0.0, False)])
+def test_a_shoe_does_not_belong_to_the_floor_of_its_colour(height: float, moves: bool) -> None:
     """They have one direction and colour, but lie in two planes; a plate in the floor's own plane belongs to it."""
-    along = np.arange(-20, 20) * SPACING
-    floor = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(1600)], 1)
+    floor = flat(40)
     shoe = floor[(np.abs(floor[:, 0]) < 6 * SPACING) & (np.abs(floor[:, 1]) < 4 * SPACING)]
-    for height, moves in ((1.5 * SPACING, True), (0.0, False)):
-        xyz = np.concatenate([floor, shoe + [SPACING / 2, SPACING / 2, height]])
-        normals, rgb = np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), np.full((len(xyz), 3), 0.4)
-        votes = np.repeat([-0.6, 0.9], [len(floor), len(shoe)])
-        for together in TOGETHER:
-            found = _cut(Surface(xyz, normals, rgb, SPACING), votes, together)
-            assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
+    xyz = np.concatenate([floor, shoe + [SPACING / 2, SPACING / 2, height]])
+    found = _cut(level(xyz), np.repeat([-0.75, 1.2], [len(floor), len(shoe)]))
+    assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
 
 
-@pytest.mark.parametrize(("unlike", "moves"), [(0.38, True), (0.2, False)])
-def test_a_small_thing_of_another_colour_does_not_belong_to_the_floor(unlike: float, moves: bool) -> None:
-    """White shoes lie nearly level with a brown floor; only the weaker hold of neighbours lets them go."""
-    along = np.arange(-20, 20) * SPACING
-    floor = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(1600)], 1)
+@pytest.mark.parametrize(
+    ("unlike", "odds", "moves"), [(0.38, 6, True), (0.38, 0.5, False), (0.1, 1.5, False)]
+)
+def test_a_small_thing_of_another_colour_leaves_the_floor_that_it_lies_on_where_it_surely_went(
+    unlike: float, odds: float, moves: bool
+) -> None:
+    floor = flat(40)
     shoe = (np.abs(floor[:, 0]) < 6 * SPACING) & (np.abs(floor[:, 1]) < 4 * SPACING)
-    rgb = np.tile(np.where(shoe, 0.4 + unlike / np.sqrt(3), 0.4)[:, None], 3)
-    surface = Surface(floor, np.tile([0.0, 0.0, 1.0], (1600, 1)), rgb, SPACING)
-    strong, weak = (_cut(surface, np.where(shoe, 0.8, -0.6), together) for together in TOGETHER)
-    assert not strong.any() and np.array_equal(weak, shoe & moves)
+    found = _cut(level(floor, np.where(shoe, 0.4 + unlike / np.sqrt(3), 0.4)), np.where(shoe, odds, -6.0))
+    assert np.array_equal(found, shoe & moves)
 
 
 def test_a_brick_does_not_belong_to_the_brick_below() -> None:
@@ -668,9 +669,7 @@ def test_a_brick_does_not_belong_to_the_brick_below() -> None:
     xyz, upper = np.stack([x, np.zeros_like(x), z], 1), z > 6.5 * SPACING
     rgb = np.where(upper[:, None], [0.7, 0.4, 0.2], [0.4, 0.4, 0.4])
     surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
-    votes = np.where(upper, 0.6, -0.6)
-    found = np.any([_cut(surface, votes, together) for together in TOGETHER], axis=0)
-    assert np.array_equal(found, upper)
+    assert np.array_equal(_cut(surface, np.where(upper, 3.0, -3.0)), upper)
 
 
 def test_a_strip_that_looks_as_at_rest_belongs_to_the_sheet_beside_it() -> None:
@@ -679,79 +678,74 @@ def test_a_strip_that_looks_as_at_rest_belongs_to_the_sheet_beside_it() -> None:
     xyz, strip = np.stack([x, np.zeros_like(x), z], 1), x > 19.5 * SPACING
     rgb = np.where(strip[:, None], [0.7, 0.5, 0.5], [0.5, 0.5, 0.5])
     surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
-    votes = np.where(strip, -0.5, 0.9)
-    assert np.any([_cut(surface, votes, together) for together in TOGETHER], axis=0).all()
+    assert _cut(surface, np.where(strip, -0.6, 3.0)).all()
 
 
-def test_what_one_camera_alone_sees_change_does_not_move_where_others_are_seen_by_two() -> None:
-    along = np.arange(10) * SPACING
-    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
-    xyz = np.concatenate([patch, patch + [0, 0, 1]])  # two pieces: of fog, and of something solid
-    surface = Surface(xyz, np.tile([0.0, 0.0, 1.0], (200, 1)), np.full((200, 3), 0.5), SPACING)
-    moves, cameras = np.ones(200, dtype=bool), np.repeat([1, 1], 100)
-    assert _seen_by_two(surface, moves, cameras).all()
-    cameras[100:120] = 2
-    found = _seen_by_two(surface, moves, cameras)
-    assert not found[:100].any() and found[100:].all()
-    assert not _seen_by_two(surface, ~moves, cameras).any()
+@pytest.mark.parametrize("odds", [1.0, -1.0])
+def test_a_few_points_that_have_no_surroundings_are_what_they_are_found_to_be(odds: float) -> None:
+    patch = flat(10)
+    surface = level(np.concatenate([patch, patch[:20] + [0, 0, 1]]))
+    found = _cut(surface, np.repeat([-odds, odds], [100, 20]))
+    assert np.array_equal(found, np.repeat([odds < 0, odds > 0], [100, 20]))
+
+
+def test_planes_are_those_that_hold_much_of_what_stands() -> None:
+    """Floor that was not found to stand lies in its plane; a box and its few points make none."""
+    floor = flat(40)
+    box = floor[(np.abs(floor[:, 0]) < 3 * SPACING) & (np.abs(floor[:, 1]) < 3 * SPACING)] + [0, 0, 0.2]
+    stands = np.r_[np.hypot(floor[:, 0], floor[:, 1]) > 8 * SPACING, np.ones(len(box), dtype=bool)]
+    found = _in_planes(level(np.concatenate([floor, box])), stands)
+    assert found[: len(floor)].all() and not found[len(floor) :].any()
+    assert not _in_planes(level(floor), np.zeros(len(floor), dtype=bool)).any()
 
 
 @pytest.mark.parametrize(
-    ("colours", "brightness", "sign"),
+    ("change", "told"),
     [
-        ([0.1, 0.9], [0.8, 1.0], 1),  # it left a wall of its hue, and another one for another camera
-        ([0.1, 0.1], [0.8, 1.0], -1),  # it is in the shade
-        ([0.1, 0.9], [0.3, 1.0], -1),  # one camera sees it there
-        ([np.nan, 0.9], [np.nan, 1.0], 1),
-        ([np.nan, np.nan], [np.nan, np.nan], 0),
+        (lambda x: x, 1),  # it stands
+        (lambda x: 0.5 * x, 1),  # it stands in the shade
+        (lambda x: np.roll(x, (31, 47), axis=(0, 1)), -1),  # something else with the same colours
     ],
 )
-def test_what_changes_in_brightness_only_moves_if_a_camera_sees_another_colour(
-    colours: list[float], brightness: list[float], sign: int
-) -> None:
-    (vote,) = _votes(np.array(colours)[:, None], np.array(brightness)[:, None])
-    assert np.sign(vote) == sign
+def test_a_picture_tells_whether_a_point_is_there(films: list[Film], change: Callable, told: int) -> None:
+    changed = [
+        otherwise(film, lambda n, x, f=film: x if n == REST else change(f.picture(REST))) for film in films
+    ]
+    surface, _ = on_cards()
+    seen = likelihoods(surface, changed, 0.5)
+    busy = np.linspace(0, 1, seen.known.shape[1])
+    moved = seen.known & (np.abs(busy - 0.5) > GAP)[None, :, None]  # not the picture at rest
+    sign = np.sign(seen.there - seen.other)[moved]
+    assert moved.any() and (sign == told).mean() > 0.85
 
 
-@pytest.mark.parametrize("votes", [0.9, -0.6])
-def test_a_few_points_that_have_no_surroundings_are_what_they_are_found_to_be(votes: float) -> None:
-    along = np.arange(10) * SPACING
-    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
-    xyz = np.concatenate([patch, patch[:20] + [0, 0, 1]])
-    surface = Surface(xyz, np.tile([0.0, 0.0, 1.0], (120, 1)), np.full((120, 3), 0.5), SPACING)
-    found = _cut(surface, np.repeat([-votes, votes], [100, 20]), TOGETHER[0])
-    assert np.array_equal(found, np.repeat([votes < 0, votes > 0], [100, 20]))
+def test_where_all_looks_alike_a_picture_tells_nothing(films: list[Film]) -> None:
+    plain = [otherwise(film, lambda n, x: np.full_like(x, 0.6)) for film in films]
+    seen = likelihoods(on_cards()[0], plain, 0.5)
+    assert seen.known.any() and np.abs(seen.there - seen.other).max() < 0.5
+    assert not seen.there[~seen.known].any() and not seen.other[~seen.known].any()
 
 
-def test_a_piece_that_neighbours_hold_less_moves_only_if_it_stays_away() -> None:
-    """Half of the points that cameras saw at rest have to look different for most of the time, to all of these."""
-    along = np.arange(10) * SPACING
-    patch = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(100)], 1)
-    surface = Surface(
-        np.concatenate([patch, patch + [0, 0, 1], patch + [0, 0, 2], patch + [0, 0, 3]]),
-        np.tile([0.0, 0.0, 1.0], (400, 1)), np.full((400, 3), 0.5), SPACING,
-    )  # fmt: skip
-    gone, unseen = np.repeat([AWAY + 0.1, 0.2], [46, 44]), np.full(10, np.nan)
-    shade, never = np.repeat([AWAY + 0.1, AWAY - 0.1], [40, 60]), np.full(100, np.nan)
-    even = np.tile(np.concatenate([gone, unseen, shade, never, np.full(100, 0.9)]), (2, 1))
-    even[1, :200], even[1, 300:] = 1.0, AWAY - 0.1
-    assert np.array_equal(_away(surface, np.ones(400, bool), even), np.arange(400) < 100)
-    assert not _away(surface, np.zeros(400, bool), even).any()
+def known(there: list[list[float]]) -> Likelihoods:
+    """Of one point, by cameras and moments: log-odds for its being there."""
+    odds = np.array(there, np.float32)[..., None]
+    return Likelihoods(np.maximum(odds, 0), np.maximum(-odds, 0), np.ones_like(odds, dtype=bool))
 
 
-def test_a_piece_that_neighbours_hold_less_moves_only_if_it_rises_from_what_stands() -> None:
-    """A box on the floor does, a place of the floor that was covered does not; a crumb counts as none."""
-    along = np.arange(-20, 20) * SPACING
-    floor = np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(1600)], 1)
-    place = np.hypot(floor[:, 0] + 10 * SPACING, floor[:, 1]) < 6 * SPACING
-    box = floor[(np.abs(floor[:, 0] - 10 * SPACING) < 5 * SPACING) & (np.abs(floor[:, 1]) < 5 * SPACING)]
-    xyz = np.concatenate([floor, box + [0, 0, 3 * SPACING], box[:20] + [0, 12 * SPACING, 2 * SPACING]])
-    surface = Surface(xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), np.full((len(xyz), 3), 0.4), SPACING)
-    moves = np.r_[place, np.ones(len(box) + 20, dtype=bool)]
-    boxed = np.arange(len(xyz)) // 1600 == 1
-    boxed[-20:] = False
-    assert np.array_equal(_rises(surface, moves, ~moves), boxed)
-    assert np.array_equal(_rises(surface, moves, np.zeros(len(xyz), dtype=bool)), moves)
+@pytest.mark.parametrize(
+    ("cameras", "moves"),
+    [
+        ([GONE_LATER, GONE_LATER], True),
+        ([GONE_LATER, [0.0] * MOMENTS], True),  # the other camera cannot tell: it has no veto
+        ([GONE_LATER, [3.0] * MOMENTS], False),  # the other camera sees it there: it is hidden from the first
+        ([[3.0] * MOMENTS, [3.0] * MOMENTS], False),
+    ],
+)  # fmt: skip
+def test_what_moves_is_gone_for_all_cameras_at_once(cameras: list[list[float]], moves: bool) -> None:
+    """Beside a point that shows how busy the moments are."""
+    one, other = known(cameras), known([GONE_LATER, GONE_LATER])
+    both = Likelihoods(*(np.concatenate([getattr(x, f.name) for x in (one, other)], -1) for f in fields(one)))
+    assert (_log_odds(both)[0] + PRIOR > 0) == moves
 
 
 def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:

@@ -7,7 +7,7 @@ below are seconds since the motion begins, at a motion_speed of 1.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -128,23 +128,91 @@ def figure(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
 
         return pose
 
+    return _person(
+        rng, Joints(hip, chest, lambda t: chest(t) @ shift(0, 0, 0.32), thigh, shin, upper_arm, forearm)
+    )
+
+
+def gesturing(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
+    """A person of 1.2 m who stands and talks with the hands: arms rise and come back, the head turns."""
+    scale = options.motion_scale
+
+    def wave(time: float, hz: float, phase: float = 0.0) -> float:
+        """From 0 to 1 and back, at a rate."""
+        return scale * (0.5 - 0.5 * float(np.cos(2 * np.pi * hz * max(time - phase, 0.0))))
+
+    def hip(time: float) -> Pose:
+        return shift(0.02, 0.0, PLATFORM_M + 0.62) @ turn("z", 90 + 3 * wave(time, 0.5))
+
+    def chest(time: float) -> Pose:
+        return hip(time) @ shift(0, 0, 0.15) @ turn("y", 4 * wave(time, 0.6)) @ turn("z", 6 * wave(time, 0.5))
+
+    def head(time: float) -> Pose:
+        return chest(time) @ shift(0, 0, 0.32) @ turn("z", 30 * (wave(time, 0.7) - wave(time, 0.5, 0.6)))
+
+    def thigh(side: int) -> Callable[[float], Pose]:
+        return lambda t: hip(t) @ shift(0, 0.075 * side, -0.01) @ turn("z", -3 * wave(t, 0.5))
+
+    def shin(side: int) -> Callable[[float], Pose]:
+        upper = thigh(side)
+        return lambda t: upper(t) @ shift(0, 0, -0.29)
+
+    def upper_arm(side: int) -> Callable[[float], Pose]:
+        hz, phase = (0.8, 0.0) if side > 0 else (0.6, 0.15)
+
+        def pose(time: float) -> Pose:
+            risen = wave(time, hz, phase)
+            place = chest(time) @ shift(0, 0.135 * side, 0.21) @ turn("x", (10 + 30 * risen) * side)
+            return place @ turn("y", -50 * risen)
+
+        return pose
+
+    def forearm(side: int) -> Callable[[float], Pose]:
+        upper = upper_arm(side)
+        hz, phase = (1.1, 0.1) if side > 0 else (0.9, 0.2)
+
+        def pose(time: float) -> Pose:
+            return upper(time) @ shift(0, 0, -0.2) @ turn("y", -15 - 80 * wave(time, hz, phase))
+
+        return pose
+
+    return _person(rng, Joints(hip, chest, head, thigh, shin, upper_arm, forearm))
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Where the parts of a person are at a time; of limbs, those of the left (1) and of the right side (-1).
+
+    The head's is the neck.
+    """
+
+    hip: Callable[[float], Pose]
+    chest: Callable[[float], Pose]
+    neck: Callable[[float], Pose]
+    thigh: Callable[[int], Callable[[float], Pose]]
+    shin: Callable[[int], Callable[[float], Pose]]
+    upper_arm: Callable[[int], Callable[[float], Pose]]
+    forearm: Callable[[int], Callable[[float], Pose]]
+
+
+def _person(rng: np.random.Generator, joints: Joints) -> MovingObject:
     parts = [
-        rigid(_box(rng, (0.15, 0.24, 0.22), TROUSERS, 0.06), lambda t: hip(t) @ shift(0, 0, 0.03)),
-        rigid(_box(rng, (0.16, 0.27, 0.3), SHIRT, 0.07), lambda t: chest(t) @ shift(0, 0, 0.1)),
-        rigid(_limb(rng, SKIN, 0.09, 0.045, 0.045), lambda t: chest(t) @ shift(0, 0, 0.32)),
-        rigid(_ball(rng, SKIN, 0.085), lambda t: chest(t) @ shift(0.01, 0, 0.39)),
+        rigid(_box(rng, (0.15, 0.24, 0.22), TROUSERS, 0.06), lambda t: joints.hip(t) @ shift(0, 0, 0.03)),
+        rigid(_box(rng, (0.16, 0.27, 0.3), SHIRT, 0.07), lambda t: joints.chest(t) @ shift(0, 0, 0.1)),
+        rigid(_limb(rng, SKIN, 0.09, 0.045, 0.045), joints.neck),
+        rigid(_ball(rng, SKIN, 0.085), lambda t: joints.neck(t) @ shift(0.01, 0, 0.07)),
     ]
     for side in (1, -1):
-        lower = shin(side)
+        shin = joints.shin(side)
         parts += [
-            rigid(_limb(rng, TROUSERS, 0.29, 0.07, 0.055), thigh(side)),
-            rigid(_limb(rng, TROUSERS, 0.27, 0.055, 0.04), lower),
+            rigid(_limb(rng, TROUSERS, 0.29, 0.07, 0.055), joints.thigh(side)),
+            rigid(_limb(rng, TROUSERS, 0.27, 0.055, 0.04), shin),
             rigid(
                 _box(rng, (0.19, 0.08, 0.07), SHOE, 0.03),
-                lambda t, lower=lower: lower(t) @ shift(0.045, 0, -0.285),
+                lambda t, shin=shin: shin(t) @ shift(0.045, 0, -0.285),
             ),
-            rigid(_limb(rng, SHIRT, 0.2, 0.047, 0.04), upper_arm(side)),
-            rigid(_limb(rng, SKIN, 0.2, 0.038, 0.032), forearm(side)),
+            rigid(_limb(rng, SHIRT, 0.2, 0.047, 0.04), joints.upper_arm(side)),
+            rigid(_limb(rng, SKIN, 0.2, 0.038, 0.032), joints.forearm(side)),
         ]
     return _object(parts, [])
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devrf.lab.simulate.scenes.bodies import blocks, figure, leaving, plant, rod
+from devrf.lab.simulate.scenes.bodies import blocks, figure, gesturing, leaving, plant, rod
 from devrf.lab.simulate.scenes.catalogue import PRINT, WOOD, Mesh, MovingObject, box, texture
 from devrf.lab.simulate.scenes.changing import changing, ease
 from devrf.lab.simulate.scenes.session_options import SessionOptions
@@ -134,5 +134,6 @@ OBJECTS = {
     "figure": ObjectKind("a person who walks", figure),
     "plant": ObjectKind("a flower on a table that bends over and rises again", plant),
     "leaving": ObjectKind("a small aircraft that leaves the pictures and comes back", leaving),
+    "gesturing": ObjectKind("a person who stands and talks with the hands", gesturing),
     "rod": ObjectKind("a thin rod that swings", rod),
 }
