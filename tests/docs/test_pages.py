@@ -83,7 +83,7 @@ def test_the_schema_takes_the_example_and_no_slip(tmp_path: Path) -> None:
 
 
 def test_what_the_page_of_keys_says() -> None:
-    assert all(len(meaning) > 5 for _, _, meaning, _ in ROWS.values()) and len(ROWS) > 80
+    assert all(len(meaning) > 5 for _, _, meaning, _ in ROWS.values()) and len(ROWS) > 60
     assert ROWS["name"][1] == "(needed)" and ROWS["capture.static"][0] == "path"
     assert ROWS["capture.board.square_m"][0] == "number above 0 to 10"
     assert ROWS["capture.rest"][0] == "auto, start, middle, end, none"
