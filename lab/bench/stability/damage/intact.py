@@ -83,13 +83,13 @@ class Damage:
         if self.options is None:
             yield
             return
-        change, module = self.options, import_module(f"devrf.pipelines.stages.{stage}")
-        usual = module.training_options
-        module.training_options = lambda config, scene: change(usual(config, scene))
+        change, names = self.options, vars(import_module(f"devrf.pipelines.stages.{stage}"))
+        usual = names["training_options"]
+        names["training_options"] = lambda config, scene: change(usual(config, scene))
         try:
             yield
         finally:
-            module.training_options = usual
+            names["training_options"] = usual
 
 
 Damaging = Callable[[Intact], Damage]
