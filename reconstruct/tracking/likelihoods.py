@@ -121,8 +121,9 @@ def _others(film: Film, at_rest: Look, at: Float[np.ndarray, "p 2"]) -> Float32[
     rng = np.random.default_rng(0)
     size = np.array([film.camera.width, film.camera.height])
     scale = size.max() / REFERENCE_SIDE
-    reach = np.log([NEAREST_PX * scale, FARTHEST_PX * scale])
-    away, angle = np.exp(rng.uniform(*reach, (len(at), AROUND))), rng.uniform(0, 2 * np.pi, (len(at), AROUND))
+    nearest, farthest = np.log([NEAREST_PX * scale, FARTHEST_PX * scale])
+    away = np.exp(rng.uniform(nearest, farthest, (len(at), AROUND)))
+    angle = rng.uniform(0, 2 * np.pi, (len(at), AROUND))
     around = at[:, None] + away[..., None] * np.stack([np.cos(angle), np.sin(angle)], -1)
     around = around.clip(0.5, size - 0.5)  # centres of pixels
     anywhere = rng.uniform(0.5, size - 0.5, (len(at), ANYWHERE, 2))

@@ -27,9 +27,10 @@ AT_HOME = 0.05  # share of moments in which it is hidden while it is where it re
 HIDDEN, HOW_OFTEN_HIDDEN = (0.02, 0.3, 0.8), (0.9, 0.06, 0.04)
 COVERED, HOW_OFTEN_COVERED = (0.1, 0.3), (0.06, 0.04)
 PRIOR = -2.5  # log-odds of motion
-# The same of points in one of a few planes that hold so much of what stands each: floor that is covered for long looks
-# as if it had gone.
-IN_PLANE, PLANE_SHARE, MOST_PLANES, LEVEL = -3.0, 0.1, 4, 0.8
+# The same of points in one of a few planes, of whose points as many stand as are so much of the surface: floor that is
+# covered for long looks as if it had gone. (Such planes hold 0.10 to 0.20 in five captures; edges of a sheet that fills
+# its box, which stand by mistake, 0.03.)
+IN_PLANE, PLANE_SHARE, MOST_PLANES, LEVEL = -3.0, 0.05, 4, 0.8
 PLANES_TRIED = 200
 MOST = 6.0  # log-odds of one point
 NEIGHBOURS, REACH, COLOUR_REACH = 12, 2.25, 0.3  # number; spacings; of the full range
@@ -51,7 +52,7 @@ def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> 
     seen = likelihoods(surface, films, rest_time)
     ever = seen.known.any((0, 1))
     if not ever.any():
-        return ever
+        return np.zeros(len(surface), dtype=bool)
     odds = np.where(ever, _log_odds(seen), 0.0)
     moves = _cut(surface, np.where(ever, np.clip(odds + PRIOR, -MOST, MOST), 0.0))
     flat = _in_planes(surface, ever & ~moves)
@@ -93,7 +94,7 @@ def _mixed(share: float | np.ndarray, one: np.ndarray, other: np.ndarray) -> np.
 
 
 def _in_planes(surface: Surface, stands: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Points that lie in one of the few planes that hold much of what stands."""
+    """Points that lie in one of the few planes in which much of the surface stands."""
     rng, left, out = np.random.default_rng(0), stands.copy(), np.zeros_like(stands)
     for _ in range(MOST_PLANES):
         some = np.flatnonzero(left)
@@ -102,7 +103,7 @@ def _in_planes(surface: Surface, stands: Bool[np.ndarray, " n"]) -> Bool[np.ndar
             off = np.abs((surface.xyz[some] - surface.xyz[i]) @ surface.normals[i])
             level = surface.normals[some] @ surface.normals[i] > LEVEL
             best = max(best, some[(off < surface.spacing) & level], key=len)
-        if len(best) < max(3, PLANE_SHARE * stands.sum()):
+        if len(best) < max(3, PLANE_SHARE * len(surface)):
             break
         middle = surface.xyz[best].mean(0)
         normal = np.linalg.svd(surface.xyz[best] - middle, full_matrices=False)[2][2]

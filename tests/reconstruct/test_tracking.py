@@ -696,7 +696,8 @@ def test_planes_are_those_that_hold_much_of_what_stands() -> None:
     stands = np.r_[np.hypot(floor[:, 0], floor[:, 1]) > 8 * SPACING, np.ones(len(box), dtype=bool)]
     found = _in_planes(level(np.concatenate([floor, box])), stands)
     assert found[: len(floor)].all() and not found[len(floor) :].any()
-    assert not _in_planes(level(floor), np.zeros(len(floor), dtype=bool)).any()
+    few = np.arange(len(floor)) < 0.03 * len(floor)  # an edge, while all the rest moves
+    assert not _in_planes(level(floor), few).any() and not _in_planes(level(floor), few & False).any()
 
 
 @pytest.mark.parametrize(
