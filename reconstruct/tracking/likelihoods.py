@@ -31,8 +31,9 @@ KERNEL = 1.5  # width of the density's kernel, in standard deviations of the noi
 LEAST = 1e-4  # density of any look, over that of the likeliest
 UNEXPLAINED = 0.02  # share of looks of a point that is there that are as if something else were
 OTHER_LIGHT = (
-    0.5  # share of them in the light of the surroundings: where light alone changes, as likely as not
+    0.5  # share of them in the light of the surroundings: that light alone changes is as likely as not
 )
+AT_ONCE = 1 << 16  # points that are looked up together, in half a gigabyte
 
 Look = Float32[np.ndarray, "h w 5"]
 
@@ -103,16 +104,19 @@ def _compared(
     noise = np.maximum(1.4826 * np.median(np.abs(apart), axis=(0, 1, 2)), LEAST_NOISE)
     slope = np.stack([np.hypot(*np.gradient(at_rest[..., k])) for k in range(at_rest.shape[-1])], -1)
     noise = np.sqrt(noise**2 + (JITTER_PX * sampled(slope, at)) ** 2).astype(np.float32)
-    own, others = sampled(at_rest, at), _others(film, at_rest, at)
-    out = {}
-    for (n, picture), exposure in zip(pictures.items(), exposures, strict=True):
-        now = sampled(picture, at)
-        now[:, BRIGHTNESS] -= exposure
-        paint, light = _agree((now - own) / noise)
-        paints, lights = _agree((now[:, None] - others) / (KERNEL * noise[:, None]))
-        other = np.maximum((paints * lights).mean(1), LEAST)
-        lit = (1 - OTHER_LIGHT) * light + OTHER_LIGHT * np.maximum(lights.mean(1), LEAST)
-        out[n] = np.log((1 - UNEXPLAINED) * paint * lit + UNEXPLAINED * other), np.log(other)
+    out = {n: (np.empty(len(at), np.float32), np.empty(len(at), np.float32)) for n in pictures}
+    for first in range(0, len(at), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        own, others = sampled(at_rest, at[some]), _others(film, at_rest, at[some])
+        for (n, picture), exposure in zip(pictures.items(), exposures, strict=True):
+            now = sampled(picture, at[some])
+            now[:, BRIGHTNESS] -= exposure
+            paint, light = _agree((now - own) / noise[some])
+            paints, lights = _agree((now[:, None] - others) / (KERNEL * noise[some, None]))
+            other = np.maximum((paints * lights).mean(1), LEAST)
+            lit = (1 - OTHER_LIGHT) * light + OTHER_LIGHT * np.maximum(lights.mean(1), LEAST)
+            there = (1 - UNEXPLAINED) * paint * lit + UNEXPLAINED * other
+            out[n][0][some], out[n][1][some] = np.log(there), np.log(other)
     return out
 
 
