@@ -21,9 +21,7 @@ def training_options(config: SceneConfig, scene: Scene) -> "Options":
         rays=chosen.rays,
         canonical_iterations=chosen.canonical_iterations,
         motion_iterations=chosen.motion_iterations,
-        fine_tuning_iterations=chosen.fine_tuning_iterations,
         key_times=chosen.key_times,
-        learning_rate=chosen.learning_rate,
         adapt=chosen.adapt,
         seed=chosen.seed,
     )

@@ -108,7 +108,7 @@ def fine_tune(
     model = recipe.model()
     before, after, decision = recipe.errors_before, recipe.errors(), None
     gain_db = after.gain_db(before) if before is not None and after is not None else None
-    if options.adapt and not options.fine_tuning_given and before is not None and after is not None:
+    if options.adapt and before is not None and after is not None:
         gain = after.gain_over(before)
         if gain.side() <= 0 or gain.mean < PAYS_DB:
             reason = f"on pixels that it left out it gained {gain_text(gain)}"

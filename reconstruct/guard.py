@@ -160,6 +160,6 @@ class Guard:
 
 def diverged(where: str) -> ReconstructError:
     """What is said where smaller steps do not help."""
-    remedy = "check poses and times (report), then lower reconstruct.learning_rate or reconstruct.resolution"
+    remedy = "check poses and times (report), then lower reconstruct.resolution"
     text = f"training diverged: {where}, and smaller steps do not help; {remedy}, or change the seed"
     return ReconstructError("training-diverged", text)

@@ -105,7 +105,6 @@ class MotionOptions:
         flow_confidence: A vector of flow counts by its confidence and by how far the pictures agree with it
             (`checked_flow.py`; False: all valid ones alike, as published).
         fine_tuning: Iterations in which the scene at rest follows all pictures, its motion known (`fine_tune.py`).
-        fine_tuning_given: It is kept, whatever it gains.
         together: Iterations in which what stands and parts that were tracked are trained (`train_movers.py`), of motion
             of MEANT_S or less; 0: motion is a field, as published.
         together_rays: Rays of each.
@@ -133,7 +132,6 @@ class MotionOptions:
     entropy: float = 0.01
     per_point: float = 0.1
     fine_tuning: int = 0
-    fine_tuning_given: bool = False
     together: int = 0
     together_rays: int = 4096
     stepsize: float = 0.5
@@ -297,9 +295,7 @@ def preset(
     rays: int | None = None,
     canonical_iterations: int | None = None,
     motion_iterations: int | None = None,
-    fine_tuning_iterations: int | None = None,
     key_times: int | None = None,
-    learning_rate: float = 1.0,
     adapt: bool | None = None,
     seed: int = 0,
 ) -> Options:
@@ -312,9 +308,7 @@ def preset(
         rays: Rays per iteration, both stages.
         canonical_iterations: Of stage 1's fine model; the coarse model's keep their proportion to it.
         motion_iterations: Of stage 2, per key time, over all levels; fine-tuning's keep their proportion to it.
-        fine_tuning_iterations: Of the scene at rest, once its motion is known.
         key_times: How many, where it is not to be decided by the scene.
-        learning_rate: Of both stages, relative to the preset's.
         adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
         seed: Of both stages.
     """
@@ -361,8 +355,4 @@ def preset(
             fine_tuning=round(ratio * motion.fine_tuning),
             together=round(ratio * motion.together),
         )
-    if fine_tuning_iterations is not None:
-        motion = replace(motion, fine_tuning=fine_tuning_iterations, fine_tuning_given=True)
-    canonical = replace(canonical, learning_rate=learning_rate, seed=seed)
-    motion = replace(motion, learning_rate=learning_rate, keys=key_times, seed=seed)
-    return Options(canonical, motion)
+    return Options(replace(canonical, seed=seed), replace(motion, keys=key_times, seed=seed))

@@ -291,7 +291,7 @@ def _field(
         watch,
         competes,
     )
-    if not options.fine_tuning or not (metrics["iterations"] or options.fine_tuning_given):
+    if not options.fine_tuning or not metrics["iterations"]:
         return DynamicModel(rest, motion), metrics
     tuned = fine_tune(
         scene,

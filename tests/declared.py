@@ -18,7 +18,7 @@ from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stages import STAGES, stage_names
 
-MOTION = ("motion_iterations", "fine_tuning_iterations", "key_times")
+MOTION = ("motion_iterations", "key_times")
 READ_BUT_NOT_A_KEY = {
     "ingest": {"capture.rest"},  # a session carries it for `check`
     "canonical": {f"reconstruct.{key}" for key in MOTION},  # options of both trainings are made at once

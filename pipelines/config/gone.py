@@ -49,7 +49,10 @@ GONE: dict[str, str] = {
     "capture.white": "light that falls off to the corners is no longer evened out; remove the key, and where it "
     "matters even the pictures out with another program",
     "flow.preset": "DIS has one setting, the most accurate one (medium); remove the key",
+    "reconstruct.fine_tuning_iterations": "the preset says whether the scene at rest follows moving pictures, "
+    "too, and it does so where that gains; remove the key",
     "reconstruct.learn_clocks": "`tiny` and `fast` find a camera whose clock is wrong by themselves; remove the key",
+    "reconstruct.learning_rate": "a training that runs away takes smaller steps by itself; remove the key",
     "render --beside": "the report shows true pictures beside rendered ones; leave it out",
     "render --from": NO_RAMP,
     "render --ping-pong": "write --format png instead, and play the pictures there and back",

@@ -332,13 +332,8 @@ class ReconstructConfig(_Section):
     motion_iterations: int | None = Field(default=None, ge=1, le=1_000_000)
     """Iterations per key time of the motion field, over all levels; those of fine-tuning and of movers keep their
     proportion to them."""
-    fine_tuning_iterations: int | None = Field(default=None, ge=0, le=1_000_000)
-    """Iterations in which the scene at rest, as it looks in motion, follows the moving pictures too; where given,
-    they are kept whatever they gain; 0: none."""
     key_times: int | None = Field(default=None, ge=2, le=10_000)
     """Key times of the motion; never more than a camera has pictures."""
-    learning_rate: float = Field(default=1.0, gt=0, le=1000)
-    """Learning rates of both trainings, relative to the preset's; smaller where a training diverges."""
     adapt: bool | None = None
     """Decide by the scene how many voxels, key times and levels it needs and whether fine-tuning pays, where not
     given here."""

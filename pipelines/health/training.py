@@ -25,8 +25,8 @@ def restart_rows(metrics: Mapping[str, Any]) -> Iterator[HealthRow]:
             float(metrics["restarts"]),
             warn_above=0.0,
             remedy="Steps were too large and were made smaller (down to "
-            f"{metrics['rate']:.2g} times); the result may stand. Lower reconstruct.learning_rate as much, and "
-            "look at poses and clocks in the report if it happens again.",
+            f"{metrics['rate']:.2g} times); the result may stand. If it happens again, look at "
+            "poses and clocks in the report.",
         )
     if metrics.get("keys_left"):
         yield row(

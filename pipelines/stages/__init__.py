@@ -84,8 +84,7 @@ PRINTED_BOARD = tuple(  # how the board looks; its clips are read by ingest alon
 )
 
 TRAINING = tuple(
-    f"reconstruct.{key}"
-    for key in ("resolution", "rays", "canonical_iterations", "learning_rate", "adapt", "seed")
+    f"reconstruct.{key}" for key in ("resolution", "rays", "canonical_iterations", "adapt", "seed")
 )
 
 CAMERAS = ("capture", "calibration")  # rooms whose code stages need
@@ -198,7 +197,6 @@ STAGES = (
             "preset",
             *TRAINING,
             "reconstruct.motion_iterations",
-            "reconstruct.fine_tuning_iterations",
             "reconstruct.key_times",
             "flow",
         ),

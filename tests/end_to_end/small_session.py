@@ -21,7 +21,6 @@ SETTINGS = {
     "canonical_iterations": 150,
     "motion_iterations": 20,
     "key_times": 6,
-    "fine_tuning_iterations": 10,
 }
 
 

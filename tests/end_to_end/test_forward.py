@@ -1,7 +1,6 @@
 """A forward-facing scene in the published layout, modelled by planes in normalised device coordinates."""
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -62,22 +61,3 @@ def test_flow_of_the_data_set_was_used(run_dir: Path) -> None:
 
 def test_a_film_was_made(run_dir: Path) -> None:
     assert next((run_dir / "render").glob("*.mp4")).stat().st_size > 5_000
-
-
-def test_the_blossoms_inside_takes_its_colour(devrf: Any, run_dir: Path) -> None:
-    """What is hidden at rest is learned by fine-tuning from the pictures in motion."""
-    tuned_dir = run_dir.with_name("tuned")
-    shutil.copytree(run_dir, tuned_dir)
-    more = ("--set", "reconstruct.fine_tuning_iterations=60", "--set", "output=runs/tuned")
-    done = devrf("run", run_dir.parents[1], "--preset", "tiny", *more, "--until", "evaluate")
-    assert done.code == 0 and "canonical: skipped" in done.said, done.said[-3000:]
-    assert json.loads((tuned_dir / "deformation" / "metrics.json").read_text())["fine_tuning_gain_db"] > 0.3
-    plain, tuned = (
-        json.loads((folder / "evaluate" / "metrics.json").read_text()) for folder in (run_dir, tuned_dir)
-    )
-    assert tuned["test_moving"]["psnr"] > plain["test_moving"]["psnr"]
-    assert tuned["test_static"]["psnr"] == plain["test_static"]["psnr"]  # pictures at rest are what they were
-    models = [*tuned_dir.glob("canonical/*.safetensors"), *tuned_dir.glob("deformation/*.safetensors")]
-    assert len(models) == 3
-    size = sum(path.stat().st_size for path in models) / 1e6
-    assert tuned["model_mb"] == pytest.approx(size, abs=1e-3)

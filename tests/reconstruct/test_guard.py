@@ -205,7 +205,7 @@ def test_motion_comes_through_steps_a_hundred_times_too_large(ball, rest: RestMo
 
 def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> None:
     motion, _ = train_motion(ball.scene, rest, {}, replace(MOTION, iterations=(10,)))
-    options = replace(MOTION, fine_tuning=20, learning_rate=1e4, fine_tuning_given=True)
+    options = replace(MOTION, fine_tuning=20, learning_rate=1e4)
     tuned = fine_tuning.fine_tune(ball.scene, rest, motion, options)
     assert tuned.metrics["restarts"] >= 1 and tuned.metrics["rate"] < 1
     assert (tuned.gain_db or 0) > -3  # no more than doubles the error: else it would have gone back again
@@ -244,7 +244,7 @@ def test_what_smaller_steps_do_not_help_ends_with_a_message(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("devrf.reconstruct.guard.RUNAWAY", 0.0)
-    with refused("training-diverged", "reconstruct.learning_rate", kind=ReconstructError):
+    with refused("training-diverged", "reconstruct.resolution", kind=ReconstructError):
         train_canonical(ball.scene, QUICK)
     monkeypatch.setattr("devrf.reconstruct.train_motion.WORSE", 0.0)
     motion, metrics = train_motion(ball.scene, rest, {}, MOTION)
@@ -256,10 +256,10 @@ def test_health_says_so_and_is_silent_where_nothing_happened() -> None:
     assert restart_rows({"restarts": 0, "rate": 1.0, "keys_left": 0}) == []
     found = restart_rows({"restarts": 2, "rate": 1 / 9, "keys_left": 3})
     assert [(r.verdict, r.value) for r in found] == [("warn", 2.0), ("warn", 3.0)]
-    assert "reconstruct.learning_rate" in found[0].remedy and "0.11" in found[0].remedy
+    assert "poses and clocks" in found[0].remedy and "0.11" in found[0].remedy
     # nothing was trained with smaller steps
     (left,) = restart_rows({"restarts": MOST, "rate": 1.0, "keys_left": 1})
-    assert left.value == 1.0 and "learning_rate" not in left.remedy
+    assert left.value == 1.0 and "smaller" not in left.remedy
     assert flow_rows({}) == []
     (ok,) = flow_rows({"cam0": 0.1, "cam1": 0.35})
     assert ok.verdict == "ok" and "cam1" in ok.check
