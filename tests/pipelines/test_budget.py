@@ -135,7 +135,7 @@ def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tm
         "    in_hand.remove(path)\n"
         "picture_writer._write = slowly\n"
         "config, folder, said = load_scene(Path(scene) / 'scene.yaml', budget), Path(scene), []\n"
-        "allowance = Budget(config, folder, Path(out)).allowance()\n"
+        "allowance = Budget(config, Path(out)).allowance()\n"
         "Path(out).mkdir()\n"
         "context = StageContext(\n"
         "    config, folder, Path(out), Path(out), lambda *a: None, 'cpu', say=said.append, allowance=allowance\n"
