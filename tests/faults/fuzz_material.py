@@ -324,7 +324,11 @@ def _other_commands(folder: Path, out: dict[str, Target]) -> None:
         card / "made.mkv", BINARY, card, ("--force",), "init", named=("made.mkv", "card")
     )
     capture = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}}
-    scene = scene_yaml(folder / "run", capture=capture, calibration={"sync": {"method": "none"}})
+    calibration = {
+        "sync": {"method": "none"},
+        "static_poses": {"mapper": "both"},
+    }  # one alone finds no depth
+    scene = scene_yaml(folder / "run", capture=capture, calibration=calibration)
     for name, source in (("static", "static.mp4"), ("cam0", "made.mp4")):
         shutil.copy(folder.parent / "clips" / source, scene / f"{name}.mp4")
     line = [sys.executable, "-m", "devrf.pipelines.cli", "run", str(scene), "--until", "sync", "--quiet"]

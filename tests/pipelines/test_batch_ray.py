@@ -120,7 +120,7 @@ def test_all_scenes_finish_though_a_node_is_killed(
     nodes: Nodes, tmp_path: Path, faults: Literal["small", "full"], figures: Figures
 ) -> None:
     names = [f"scene{n}" for n in range(SCENES[faults])]
-    batch = start_batch(tmp_path, nodes, names, 40)
+    batch = start_batch(tmp_path, nodes, names, 400)
 
     def in_training() -> bool:
         """Whether both nodes train, once a quarter of all is done."""
