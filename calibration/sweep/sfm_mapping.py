@@ -28,14 +28,8 @@ class Mapping:
         self, attempt: Attempt, torn: Torn, work: Path, pictures: int, deadline: Deadline, progress: Progress
     ) -> None:
         """`attempt` maps once, into a folder below `work`; `pictures` are all there are."""
-        self.attempt, self.torn, self.work, self.pictures, self.deadline = (
-            attempt,
-            torn,
-            work,
-            pictures,
-            deadline,
-        )
-        self.progress = progress
+        self.attempt, self.torn, self.work = attempt, torn, work
+        self.pictures, self.deadline, self.progress = pictures, deadline, progress
         self.best: Reconstruction | None = None
         self.best_torn = 0
         self.models: list[Reconstruction] = []  # of the best attempt, largest first
@@ -65,11 +59,12 @@ class Mapping:
         """The rung of the mapper that was not tried, where it should be and there is time for it, else none.
 
         Args:
-            both: It should be; else only where pictures are missing from the best model, or it is torn.
+            both: It should be; else only where the first try was not enough, where pictures are missing from the best
+                model, or it is torn. (On a flat sweep a second try with laxer bounds kept all pictures and no depth.)
             ladder: All rungs.
         """
         tried = {attempt["mapper"] for attempt in self.attempts}
-        weak = self.registered < self.pictures or self.best_torn > 0
+        weak = len(self.attempts) > 1 or self.registered < self.pictures or self.best_torn > 0
         if not (weak or both) or GLOBAL_COST * self.seconds >= self.deadline.left_s():
             return []
         return [rung for rung in ladder if rung["mapper"] not in tried][:1]

@@ -4,22 +4,18 @@
 says where it can be trusted. The file belongs to a picture of the same size; what differs is refused.
 """
 
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32
-from numpy.lib import format as npy
 
 from devrf.capture.arrays import ArrayError, npz_shapes, read_npz
 from devrf.capture.errors import CaptureError
 from devrf.capture.scene import PosedFrame
 
 Flow = tuple[Float32[np.ndarray, "height width 2"], Bool[np.ndarray, "height width"]]
-STEPS_PER_PX = 128  # flow is good to 0.2 px; rounded vectors compress better
-COMPRESSION = 1  # zlib's level; several times as fast as its usual one
 
 
 def flow_name(number: int) -> str:
@@ -43,16 +39,6 @@ def read_flow_file(path: Path) -> Flow:
         raise _damaged("flow-size-wrong", wrong)
     finite = np.asarray(np.isfinite(flow).all(axis=-1))
     return np.where(finite[..., None], flow, np.float32(0)), mask & finite
-
-
-def write_flow_file(path: Path, flow: Flow) -> None:
-    """Write one flow file; vectors that cannot be trusted are stored as 0."""
-    vectors = np.round(np.where(flow[1][..., None], flow[0], np.float32(0)) * STEPS_PER_PX) / STEPS_PER_PX
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=COMPRESSION) as archive:
-        for key, value in (("flow", vectors.astype(np.float32)), ("mask", flow[1])):
-            with archive.open(f"{key}.npy", "w") as file:
-                npy.write_array(file, value, allow_pickle=False)
 
 
 def with_flow_files(

@@ -1,8 +1,8 @@
 """Stage `render`: a film through space and time, `orbit.mp4`, and a still of it, `poster.png`."""
 
-import json
 import time
 
+from devrf.capture.durable import write_json
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.picture_files import write_png
 from devrf.pipelines.stage import StageContext
@@ -36,4 +36,4 @@ def run(context: StageContext) -> None:
         "times": times,
         "seconds": round(time.perf_counter() - begin, 3),
     }
-    (context.out / "film.json").write_text(json.dumps(about, indent=1) + "\n")
+    write_json(context.out / "film.json", about)

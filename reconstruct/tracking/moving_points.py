@@ -53,23 +53,22 @@ def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> 
     ever = seen.known.any((0, 1))
     if not ever.any():
         return np.zeros(len(surface), dtype=bool)
-    odds = np.where(ever, _log_odds(seen), 0.0)
-    moves = _cut(surface, np.where(ever, np.clip(odds + PRIOR, -MOST, MOST), 0.0))
+    odds, links = _log_odds(seen) + PRIOR, _links(surface)
+    moves = _cut(surface, links, np.where(ever, np.clip(odds, -MOST, MOST), 0.0))
     flat = _in_planes(surface, ever & ~moves)
-    return _cut(surface, np.where(ever, np.clip(odds + PRIOR + IN_PLANE * flat, -MOST, MOST), -1.0 * flat))
+    return _cut(surface, links, np.where(ever, np.clip(odds + IN_PLANE * flat, -MOST, MOST), -1.0 * flat))
 
 
 def _log_odds(seen: Likelihoods) -> Float[np.ndarray, " n"]:
-    """log p(pictures | it moves) - log p(pictures | it stands)."""
+    """log p(pictures | it moves) - log p(pictures | it stands); 0 where nothing is known, as both likelihoods are 1."""
     there, other, busy = seen.there, seen.other, _busy(seen)[:, None]
-    here = np.where(seen.known, _mixed(AT_HOME, there, other), 0.0).sum(0)
-    away = other.sum(0)
+    here, away = _mixed(AT_HOME, there, other).sum(0), other.sum(0)
     moves = [_mixed((share * busy).clip(1e-3, 0.98), here, away).sum(0) / ALIKE for share in GONE]
     hidden = [
-        np.where(seen.known, _mixed(share, there, other), 0.0).sum(1) / ALIKE + np.log(often)
+        _mixed(share, there, other).sum(1) / ALIKE + np.log(often)
         for share, often in zip(HIDDEN, HOW_OFTEN_HIDDEN, strict=True)
     ]
-    each = np.where(seen.known.any(1), logsumexp(hidden, axis=0), 0.0).sum(0)
+    each = np.sum(logsumexp(hidden, axis=0), axis=0)
     covered = [
         _mixed(share * busy.clip(0.05), here, away).sum(0) / ALIKE + np.log(often)
         for share, often in zip(COVERED, HOW_OFTEN_COVERED, strict=True)
@@ -114,11 +113,9 @@ def _in_planes(surface: Surface, stands: Bool[np.ndarray, " n"]) -> Bool[np.ndar
     return out
 
 
-def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which points move, by votes for motion (above 0) and against it, and by their neighbours."""
+def _links(surface: Surface) -> coo_matrix:
+    """What it is worth that neighbours agree, in units of the cut."""
     xyz, n = surface.xyz, len(surface)
-    if n <= NEIGHBOURS or not (votes > 0).any():
-        return np.zeros(n, dtype=bool)
     distance, near = map(np.asarray, KDTree(xyz).query(xyz, k=NEIGHBOURS + 1))
     rows, columns = np.repeat(np.arange(n), NEIGHBOURS), near[:, 1:].ravel()
     level = (surface.normals[rows] * surface.normals[columns]).sum(1).clip(0, 1) ** 4
@@ -130,7 +127,14 @@ def _cut(surface: Surface, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, "
     off = ((xyz[columns] - xyz[rows]) * middle).sum(1)
     weight *= TOGETHER * np.maximum(CREASE, level) * np.exp(-((off / (FLAT * surface.spacing)) ** 2))
     links = coo_matrix((np.round(UNIT * weight).astype(np.int32), (rows, columns)), shape=(n, n)).tocsr()
-    links = links.maximum(links.T).tocoo()
+    return links.maximum(links.T).tocoo()
+
+
+def _cut(surface: Surface, links: coo_matrix, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Which points move, by votes for motion (above 0) and against it, and by their neighbours."""
+    n = len(surface)
+    if not (votes > 0).any():
+        return np.zeros(n, dtype=bool)
     source, sink = n, n + 1
     vote = np.round(UNIT * votes).astype(np.int32)
     for_it, against = np.flatnonzero(vote > 0), np.flatnonzero(vote < 0)

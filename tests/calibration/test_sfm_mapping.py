@@ -49,3 +49,21 @@ def test_a_torn_model_is_mapped_by_another_mapper_too(tmp_path, first, second, b
     mapping.climb(other)
     assert mapping.name == kept and mapping.best is models[kept]
     assert [attempt["torn"] for attempt in mapping.attempts] == [m.torn for m in (first, second)][: 1 + tried]
+
+
+def test_a_model_of_a_second_try_is_mapped_by_another_mapper_too(tmp_path):
+    models = {"incremental": [], "laxer": [Mapped(12, 0.061, 0)], "global": [Mapped(12, 0.056, 0)]}
+    mapping = Mapping(
+        lambda folder, rung, left: models[rung["name"]],
+        lambda model: model.torn,
+        tmp_path,
+        12,
+        Deadline(None),
+        lambda share, text: None,
+    )
+    mappers = {"incremental": "incremental", "laxer": "incremental", "global": "global"}
+    ladder = [{"name": name, "mapper": mapper, "accept": 0.8} for name, mapper in mappers.items()]
+    mapping.climb(ladder)
+    assert mapping.name == "laxer"
+    mapping.climb(mapping.other_mapper(False, ladder))
+    assert mapping.name == "global"

@@ -11,7 +11,6 @@ from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene, write_scene
-from devrf.capture.formats.flow_files import write_flow_file
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame
 from devrf.flow.dis import DisFlow
@@ -83,7 +82,8 @@ def given(context: StageContext, scale: float = 1.0) -> None:
         mask = np.ones(shape, bool)
         mask[: shape[0] // 4] = False
         if frame.index > 10:
-            write_flow_file(path, (flow, mask))
+            path.parent.mkdir(exist_ok=True)
+            np.savez_compressed(path, flow=flow, mask=mask)
         out.append(replace(frame, flow=path if frame.index > 10 else None))
     write_scene(context.run_dir / "scene", replace(scene, dynamic=tuple(out)))
 

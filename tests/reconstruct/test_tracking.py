@@ -24,7 +24,7 @@ from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.likelihoods import MOMENTS, Likelihoods, likelihoods
-from devrf.reconstruct.tracking.moving_points import PRIOR, _cut, _in_planes, _log_odds, moving_points
+from devrf.reconstruct.tracking.moving_points import PRIOR, _cut, _in_planes, _links, _log_odds, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.shot import Shot
@@ -634,6 +634,10 @@ def flat(side: int) -> np.ndarray:
     return np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(side**2)], 1)
 
 
+def cut(surface: Surface, votes: np.ndarray) -> np.ndarray:
+    return _cut(surface, _links(surface), votes)
+
+
 def level(xyz: np.ndarray, rgb: np.ndarray | float = 0.4) -> Surface:
     """A surface of points that all look up."""
     colours = np.broadcast_to(np.asarray(rgb).reshape(-1, 1), xyz.shape)
@@ -646,7 +650,7 @@ def test_a_shoe_does_not_belong_to_the_floor_of_its_colour(height: float, moves:
     floor = flat(40)
     shoe = floor[(np.abs(floor[:, 0]) < 6 * SPACING) & (np.abs(floor[:, 1]) < 4 * SPACING)]
     xyz = np.concatenate([floor, shoe + [SPACING / 2, SPACING / 2, height]])
-    found = _cut(level(xyz), np.repeat([-0.75, 1.2], [len(floor), len(shoe)]))
+    found = cut(level(xyz), np.repeat([-0.75, 1.2], [len(floor), len(shoe)]))
     assert (found[len(floor) :] == moves).all() and not found[: len(floor)].any()
 
 
@@ -658,7 +662,7 @@ def test_a_small_thing_of_another_colour_leaves_the_floor_that_it_lies_on_where_
 ) -> None:
     floor = flat(40)
     shoe = (np.abs(floor[:, 0]) < 6 * SPACING) & (np.abs(floor[:, 1]) < 4 * SPACING)
-    found = _cut(level(floor, np.where(shoe, 0.4 + unlike / np.sqrt(3), 0.4)), np.where(shoe, odds, -6.0))
+    found = cut(level(floor, np.where(shoe, 0.4 + unlike / np.sqrt(3), 0.4)), np.where(shoe, odds, -6.0))
     assert np.array_equal(found, shoe & moves)
 
 
@@ -669,7 +673,7 @@ def test_a_brick_does_not_belong_to_the_brick_below() -> None:
     xyz, upper = np.stack([x, np.zeros_like(x), z], 1), z > 6.5 * SPACING
     rgb = np.where(upper[:, None], [0.7, 0.4, 0.2], [0.4, 0.4, 0.4])
     surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
-    assert np.array_equal(_cut(surface, np.where(upper, 3.0, -3.0)), upper)
+    assert np.array_equal(cut(surface, np.where(upper, 3.0, -3.0)), upper)
 
 
 def test_a_strip_that_looks_as_at_rest_belongs_to_the_sheet_beside_it() -> None:
@@ -678,14 +682,14 @@ def test_a_strip_that_looks_as_at_rest_belongs_to_the_sheet_beside_it() -> None:
     xyz, strip = np.stack([x, np.zeros_like(x), z], 1), x > 19.5 * SPACING
     rgb = np.where(strip[:, None], [0.7, 0.5, 0.5], [0.5, 0.5, 0.5])
     surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
-    assert _cut(surface, np.where(strip, -0.6, 3.0)).all()
+    assert cut(surface, np.where(strip, -0.6, 3.0)).all()
 
 
 @pytest.mark.parametrize("odds", [1.0, -1.0])
 def test_a_few_points_that_have_no_surroundings_are_what_they_are_found_to_be(odds: float) -> None:
     patch = flat(10)
     surface = level(np.concatenate([patch, patch[:20] + [0, 0, 1]]))
-    found = _cut(surface, np.repeat([-odds, odds], [100, 20]))
+    found = cut(surface, np.repeat([-odds, odds], [100, 20]))
     assert np.array_equal(found, np.repeat([odds < 0, odds > 0], [100, 20]))
 
 
