@@ -39,7 +39,7 @@ SHORT = replace(
 )  # it grows at iterations 6 and 12
 MOTION = MotionOptions(
     levels=(4, 6), iterations=(5, 3), rays=300, importance=0.7, lr=6e-3, most_keys=4, weight_threshold=1e-3,
-    adapt=True, fine_tuning=8,
+    adapt=False, fine_tuning=8,
 )  # fmt: skip
 
 
