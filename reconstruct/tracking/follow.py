@@ -95,14 +95,16 @@ def follow_both_ways(
         by_parts = followed(parts, as_said, "by parts")
         if better(tracks, by_parts[0]):
             tracks, seen = by_parts
-    offsets = offsets_to_follow(seen, gap)
+    every_seen = [seen]
+    offsets = offsets_to_follow(every_seen, gap)
     if not offsets.any():
         runs.write()
         return [tracks]
     again = tracks
     for n in range(MOST_AGAIN):  # by nodes: parts that were found with wrong clocks are wrong ones
         again, seen = followed(graph, offsets, f"{n + 1} times again")
-        offsets = offsets_to_follow(seen, gap)
+        every_seen.append(seen)
+        offsets = offsets_to_follow(every_seen, gap)
         if not offsets.any() or np.abs(offsets - again.offsets).max() < SETTLED * gap:
             break
     runs.write()

@@ -6,7 +6,7 @@ be (variable projection, Golub and Pereyra 1973). When all cameras are late toge
 clock stays.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ CLEAR, SIGMAS = 0.15, 4.0  # moments, and standard deviations, from which an off
 # Standard deviations from which others beside a clear one are followed: beside a late clock a right one seemed to be
 # off by 2.5, those that were wrong (by a sixth of a moment and more) by 3.8 and more.
 LIKELY = 3.0
+# Of an offset, that tracks show at least; 0.5 to 0.6 was measured. Less would be a step into the dark.
+LEAST_SHOWN = 1 / 3
 THIN = 1e-6  # of a point's trace, added: one that is nearly seen along one line only
 
 
@@ -158,12 +160,48 @@ def offsets_of(
     return offset - np.median(offset), np.sqrt(np.maximum(by_error, by_blocks))
 
 
-def offsets_to_follow(seen: Mapping[int, Offsets], gap: float) -> Float[np.ndarray, " c"]:
-    """Those of `offsets_of` that are worth to follow, the others 0, as clocks say; all 0 where none is clear.
+def offsets_to_follow(times_followed: Sequence[Mapping[int, Offsets]], gap: float) -> Float[np.ndarray, " c"]:
+    """Those offsets that are worth to follow, the others 0, as clocks say; all 0 where none is clear.
 
     Where one camera is late, tracks lie between it and the others, and one that sees things from where it does seems
     to be early: perhaps by as much, but not for certain.
+
+    Args:
+        times_followed: What was seen each time that everything was followed, with other offsets each time, as
+            `offsets_of` takes it. Tracks hide a share of what is left of an offset; two times tell which.
+        gap: Between moments, in the scene's time.
     """
-    offsets, std = offsets_of(seen, gap)
+    *before, last = (_Told(_used(seen), *offsets_of(seen, gap)) for seen in times_followed)
+    share = _share_shown(before[-1], last) if before else 1.0
+    hidden = (last.offsets - last.used) * (1 / share - 1)
+    offsets, std = last.offsets + hidden - np.median(hidden), last.std / share
     is_clear = np.abs(offsets) > np.maximum(CLEAR * gap, SIGMAS * std)
     return np.where(is_clear.any() & (np.abs(offsets) > LIKELY * std), offsets, 0.0)
+
+
+class _Told(NamedTuple):
+    """What following everything once says of offsets: those that were used, those that were found, their deviations."""
+
+    used: Float[np.ndarray, " c"]
+    offsets: Float[np.ndarray, " c"]
+    std: Float[np.ndarray, " c"]
+
+    def left(self) -> Float[np.ndarray, " c"]:
+        """What it finds beyond those that were used."""
+        return _from_mean(self.offsets - self.used)
+
+
+def _share_shown(before: _Told, after: _Told) -> float:
+    """The share of what is left of offsets that following shows: by how much less it found after some were used."""
+    went = _from_mean(after.used - before.used)
+    share = went @ (before.left() - after.left()) / max(went @ went, 1e-30)
+    return float(np.clip(share, LEAST_SHOWN, 1.0))
+
+
+def _used(seen: Mapping[int, Offsets]) -> Float[np.ndarray, " c"]:
+    sign, one = next(iter(seen.items()))
+    return sign * one.now
+
+
+def _from_mean(offsets: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+    return offsets - offsets.mean()

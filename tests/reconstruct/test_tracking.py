@@ -159,10 +159,10 @@ def test_offsets_are_told_whatever_tracks_hide_of_them(sign: int) -> None:
     found, _ = offsets_of({sign: seen}, gap)
     assert found == pytest.approx(offsets - np.median(offsets), abs=0.03 * gap)
     followed = [0, found[1], found[2], 0]  # the others are too small
-    assert offsets_to_follow({sign: seen}, gap) == pytest.approx(followed)
+    assert offsets_to_follow([{sign: seen}], gap) == pytest.approx(followed)
     still = Offsets(np.zeros(4), np.zeros((300, 3)))
     still.add(shown, 0 * way, gap)  # nothing goes anywhere
-    assert not still.blocks and not offsets_to_follow({1: still}, gap).any()
+    assert not still.blocks and not offsets_to_follow([{1: still}], gap).any()
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,24 @@ def test_offsets_are_followed_where_one_is_clear_and_others_are_no_chance(
         "devrf.reconstruct.tracking.offsets.offsets_of",
         lambda seen, gap: (gap * np.array(found), np.full(4, std)),
     )
-    assert offsets_to_follow({}, gap) == pytest.approx(gap * np.array(followed))
+    assert offsets_to_follow([_with([0, 0, 0, 0])], gap) == pytest.approx(gap * np.array(followed))
+
+
+def _with(offsets: list[float]) -> dict[int, Offsets]:
+    """What is seen when everything is followed with these offsets: nothing."""
+    return {1: Offsets(np.array(offsets, dtype=float), np.zeros((1, 3)))}
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_two_times_tell_what_tracks_hide_of_offsets(share: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each time a share of what is left is found; the third camera is not moved by the first time."""
+    gap, true = 0.1, np.array([0.04, 0.0, -0.008, 0.0])
+    monkeypatch.setattr(
+        "devrf.reconstruct.tracking.offsets.offsets_of",
+        lambda seen, gap: (seen[1].now + share * (true - seen[1].now), np.full(4, 0.001)),
+    )
+    first = _with([share * 0.04, 0, 0, 0])
+    assert offsets_to_follow([_with([0, 0, 0, 0]), first], gap) == pytest.approx(true)
 
 
 @pytest.mark.full
