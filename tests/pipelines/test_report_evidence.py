@@ -76,9 +76,13 @@ POSES = {
 }  # fmt: skip
 HEALTH = {
     "rows": [
-        {"check": "another", "value": 1.0, "unit": "px"},
-        {"check": "held-out lengths on the board, error of the median", "value": 0.125, "unit": "%"},
-        {"check": "held-out lengths on the board", "value": "54.02 +- 0.38 mm (true 54.00)", "unit": ""},
+        {"code": "camera-bumped", "check": "another", "value": 1.0, "unit": "px"},
+        {
+            "code": "board-lengths",
+            "check": "held-out lengths, error of the median",
+            "value": 0.125,
+            "unit": "%",
+        },
     ]
 }
 
