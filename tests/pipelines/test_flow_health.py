@@ -19,7 +19,6 @@ HEALTHY = FlowChecks(
     round_trip_px=0.1,
     warp_ratio=0.3,
     large=0.0,
-    brightness_step=0.005,
     shake_px=0.02,
     better_as=None,
 )

@@ -72,7 +72,7 @@ def test_a_photo_unlike_the_others_is_named(tmp_path, file, code, says, verdict)
 )
 def test_light_that_all_cameras_see_change_is_the_scene_s(stops, alike):
     changes = [None if s is None else Change(s, 0.5, 1.2) for s in stops]
-    found = {f"cam{n}": LightFound(None, change, None, 1.0) for n, change in enumerate(changes)}
+    found = {f"cam{n}": LightFound(None, change, None) for n, change in enumerate(changes)}
     assert changes_alike(found) == alike
 
 
@@ -94,8 +94,8 @@ def test_highlights_and_levels_of_a_set(tmp_path):
 
 
 def test_rows_of_clips():
-    assert list(clip_measures("cam1", "cam1.mp4", LightFound(None, None, None, 1.0))) == []
-    light = LightFound(Flicker(9.92, 0.105), Change(0.4, 2.1, 5.0), Change(-0.16, 3.0, 3.05), 1.0, 0.06)
+    assert list(clip_measures("cam1", "cam1.mp4", LightFound(None, None, None))) == []
+    light = LightFound(Flicker(9.92, 0.105), Change(0.4, 2.1, 5.0), Change(-0.16, 3.0, 3.05), 0.06)
     exposure, colour, lamps = judge(clip_measures("cam1", "cam1.mp4", light))
     assert re.fullmatch(r"\+0.40 EV .* 2.10 and 5.00 s; .* 4 %", str(exposure.value))
     assert "cam1.mp4" in exposure.remedy
@@ -105,7 +105,7 @@ def test_rows_of_clips():
 
 def test_light_that_gains_make_up_for_is_no_warning_but_in_test_pictures():
     """They are compared as they were filmed."""
-    light = LightFound(None, Change(0.4, 2.1, 5.0), None, 1.0, left=0.02)
+    light = LightFound(None, Change(0.4, 2.1, 5.0), None, left=0.02)
     (row,) = judge(clip_measures("cam1", "cam1.mp4", light))
     assert row.verdict == "ok" and ": 1.4 % " in str(row.value)
     (row,) = judge(clip_measures("cam1", "cam1.mp4", light, trains=False))
