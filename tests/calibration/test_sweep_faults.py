@@ -254,6 +254,11 @@ def test_a_principal_point_that_was_put_back_is_named(corner):
     assert " 5 %" in str(row.value) and "capture.board.clips.static" in row.remedy
 
 
+def test_pictures_that_had_to_be_smaller_are_named(corner):
+    row = judged.fired(sweep_measures(corner.model, side_px=720))["sweep-unfinished"]
+    assert "720" in str(row.value) and "budget.memory_gb" in row.remedy
+
+
 def test_an_adjustment_that_did_not_end_is_named(corner):
     """B18."""
     adjustment = corner.model.report["adjustment"] | {"converged": False}

@@ -163,7 +163,7 @@ def test_a_test_camera_that_differs_is_named(matched: Path) -> None:
 def test_nothing_is_matched_where_that_is_switched_off(matched: Path, session: Path, tmp_path: Path) -> None:
     colours, rows = again(session, tmp_path / "colour", "method=none")
     assert colours.reference is None and all(colours.look(name, 0) is None for name in LOOKS)
-    assert ["calibration.colour.method: none" in str(row.value) for row in rows] == [True]
+    assert list(rows) == []
 
 
 @pytest.mark.parametrize(("method", "said"), [("chart", "surface points"), ("guess", "'guess'; ")])
