@@ -16,8 +16,8 @@ Values = dict[str, Any]
 def run_values(run: Path) -> Values:
     """Quality, errors against the truth, clocks, poses and health of one run folder.
 
-    Poses are rotation vectors of `cam_from_world` by camera or picture; a health row is its check's name and its
-    verdict, all verdicts where rows share a name.
+    Poses are rotation vectors of `cam_from_world` by camera or picture; a health row is its code and its verdict, all
+    verdicts where rows share a code.
     """
     metrics = _json(run / "evaluate" / "metrics.json") or _json(run / "metrics.json")
     blocks = {key: metrics.get(key) for key in ("static_baseline", "truth") if metrics.get(key)}
@@ -37,13 +37,8 @@ def run_values(run: Path) -> Values:
     verdicts: dict[str, list[str]] = defaultdict(list)
     for file in sorted(run.glob("*/health.json")):
         for row in _json(file)["rows"]:
-            verdicts[f"health.{file.parent.name}.{plain_name(row['check'])}"].append(row["verdict"])
+            verdicts[f"health.{file.parent.name}.{row['code']}"].append(row["verdict"])
     return values | {name: " ".join(sorted(found)) for name, found in verdicts.items()}
-
-
-def plain_name(check: str) -> str:
-    """A check's name without what is measured: its decimals, and which camera is the worst."""
-    return re.sub(r" \([\w-]+\)$", "", re.sub(r"\d+\.\d+", "#", check))
 
 
 def turned_deg(was: dict[str, str], now: dict[str, str]) -> float:

@@ -44,9 +44,6 @@ class Bounds:
         near, far: In box units, along rays.
         kind: `inward` or `forward`.
         size: Sides of the box, world units [3].
-        points_outside: Share of the sweep's points that lie outside the box; None without points.
-        mean_view: Length of the mean view direction.
-        far_over_most: How far points put `far`, over the distance of 95 % of their sightings; None without points.
         basis: What the box was taken from, in words.
     """
 
@@ -56,9 +53,6 @@ class Bounds:
     far: float
     kind: Kind
     size: Float[np.ndarray, "3"]
-    points_outside: float | None
-    mean_view: float
-    far_over_most: float | None
     basis: str
 
 
@@ -109,7 +103,6 @@ def scene_bounds(
     box_from_world[:3, :3] = box_from_up / unit
     box_from_world[:3, 3] = -centre / unit
     in_box = points @ box_from_world[:3, :3].T + box_from_world[:3, 3]
-    outside = float((np.abs(in_box) > half / unit).any(1).mean()) if len(points) else None
     near, far = _near_far(cameras, len(fixed), distances, in_box, box_from_world, half / unit)
     mean_view = float(np.linalg.norm(np.mean([c.cam_from_world[2, :3] for c in cameras], axis=0)))
     return Bounds(
@@ -119,9 +112,6 @@ def scene_bounds(
         far=far,
         kind="forward" if mean_view > FORWARD_MEAN else "inward",
         size=2 * half,
-        points_outside=outside,
-        mean_view=mean_view,
-        far_over_most=_far_over_most(distances),
         basis=basis,
     )
 
@@ -216,13 +206,6 @@ def _point_box(
         return centre - half, centre + half, "the focus of the view axes (no points near it)"
     lo, hi = np.percentile(near @ box_from_up.T, POINT_PERCENTILES, axis=0)
     return lo, hi, f"{len(near)} points around the focus of the view axes"
-
-
-def _far_over_most(distances: Float[np.ndarray, " m"]) -> float | None:
-    if not len(distances):
-        return None
-    most, last = np.percentile(distances, [95, 99])
-    return FAR_SHARE * float(last) / max(float(most), 1e-9)
 
 
 def _near_far(

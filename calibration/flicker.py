@@ -63,7 +63,6 @@ class LightFound:
         flicker: A lamp, or None.
         exposure: The largest change of exposure, or None where it is below `EXPOSURE_STOPS` or within the noise.
         colour: The largest change of R/G or B/G, or None where both are below `COLOUR_STOPS` or within the noise.
-        known: Share of the frames in which the light is known.
         left: The largest change that gains do not make up for, log2: the median over what stands still, which a
             curve that is not sRGB, a lamp that moves or clipping on the way makes differ from place to place.
     """
@@ -71,7 +70,6 @@ class LightFound:
     flicker: Flicker | None
     exposure: Change | None
     colour: Change | None
-    known: float
     left: float = 0.0
 
     @property
@@ -85,7 +83,7 @@ def judge_light(course: LightCourse) -> LightFound:
     known = np.isfinite(course.stops.sum(axis=-1))
     share = float(known.mean()) if len(course.index) else 0.0
     if known.sum() < FEWEST_FRAMES or share < FEWEST_KNOWN:
-        return LightFound(None, None, None, share)
+        return LightFound(None, None, None)
     time_s = course.time_s[known]
     stops, bands = course.stops[known], course.bands[known]
     found = _find_flicker(time_s, bands)
@@ -98,7 +96,6 @@ def judge_light(course: LightCourse) -> LightFound:
         flicker,
         _change(time_s, stops.mean(axis=-1), EXPOSURE_STOPS),
         max((c for c in colours if c is not None), key=lambda change: abs(change.stops), default=None),
-        share,
         float(median_filter(course.left[known], SMOOTH_FRAMES, mode="nearest").max()),
     )
 

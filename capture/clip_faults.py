@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.frames import SHARPNESS_SIDE_PX, Fault, places
+from devrf.capture.frames import SHARPNESS_SIDE_PX, places
+from devrf.capture.measure import Measure
 from devrf.capture.steadiness import find_corners, follow
 from devrf.capture.video import VideoFrame, VideoInfo
 from devrf.capture.video_colour import OTHER_CURVES, is_full_range, luma_plane
@@ -70,14 +71,10 @@ class Repeats:
         return found
 
 
-def repeats_fault(repeated: list[int], count: int) -> Fault:
+def repeats_fault(repeated: list[int], count: int) -> Measure:
     """What to say of repeated frames."""
-    return Fault(
-        "repeated frames",
-        f"{len(repeated)} of {count} frames repeat the one before: {places(repeated)}; they are not used",
-        "Film at the camera's own rate, with a shorter exposure or more light; use the camera's file, not a "
-        "recording of the screen or a conversion to another rate.",
-    )
+    text = f"{len(repeated)} of {count} frames repeat the one before: {places(repeated)}; they are not used"
+    return Measure("not-used", text, why="repeated")
 
 
 class Levels:
@@ -97,22 +94,17 @@ class Levels:
             self._counts += np.bincount(sample.ravel(), minlength=256)
             self._full = is_full_range(picture)
 
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[Measure]:
         """Of the curve and of the range, at most one each."""
         return [*self._curve_faults(), *self._range_faults()]
 
-    def _curve_faults(self) -> list[Fault]:
+    def _curve_faults(self) -> list[Measure]:
         if self._curve is None:
             return []
-        return [
-            Fault(
-                "transfer curve",
-                f"the file says that its curve is {self._curve}; it is taken as sRGB",
-                "Film in a standard profile (BT.709), not in a flat or logarithmic one, or convert the clip to one.",
-            )
-        ]
+        text = f"the file says that its curve is {self._curve}; it is taken as sRGB"
+        return [Measure("coding", text, why="curve")]
 
-    def _range_faults(self) -> list[Fault]:
+    def _range_faults(self) -> list[Measure]:
         if not self._counts.any():
             return []
         share = self._counts / self._counts.sum()
@@ -127,28 +119,20 @@ class Levels:
         return []
 
 
-def _range_fault(what: str, flag: int) -> Fault:
-    return Fault(
-        "range of levels",
-        f"its levels are said to have {what}; the file's flag is believed",
-        "If the pictures look too hard or too flat, correct the flag without coding anew: `ffmpeg -i in.mp4 -c copy "
-        f"-bsf:v h264_metadata=video_full_range_flag={flag} out.mp4`.",
-    )
+def _range_fault(what: str, flag: int) -> Measure:
+    text = f"its levels are said to have {what}; the file's flag is believed"
+    return Measure("coding", text, why="range", facts={"flag": flag})
 
 
-def bit_rate_fault(info: VideoInfo, count: int, size_bytes: int) -> list[Fault]:
+def bit_rate_fault(info: VideoInfo, count: int, size_bytes: int) -> list[Measure]:
     """A clip coded with too few bits."""
     bits = 8 * size_bytes / max(1, count * info.width * info.height)
     least = LEAST_BITS * LATER_CODECS.get(info.codec, 1.0)
     if bits >= least:
         return []
-    return [
-        Fault(
-            "bit rate",
-            f"{bits:.3f} bits per pixel ({info.codec}), expected at least {least:.3f}: features and flow will suffer",
-            "Film with the camera's highest bit rate, and use its own files, not copies sent by a messenger.",
-        )
-    ]
+    found = f"{bits:.3f} bits per pixel ({info.codec})"
+    text = f"{found}, expected at least {least:.3f}: features and flow will suffer"
+    return [Measure("coding", text, why="bits")]
 
 
 class Tripod:
@@ -172,23 +156,15 @@ class Tripod:
             self._shift = max(self._shift, (shift_px, time_s))
             self._zoom = max(self._zoom, (abs(motion.scale - 1), time_s))
 
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[Measure]:
         """What a camera on a tripod with everything switched off would not show."""
         found = []
         if self._shift[0] > SHIFT_PX:
-            found.append(
-                Fault(
-                    "fixed camera",
-                    f"its background moves by up to {self._shift[0]:.1f} px, at {self._shift[1]:.1f} s",
-                    "Switch stabilisation off, use a firm tripod and do not touch the camera while it films.",
-                )
-            )
+            text = f"its background moves by up to {self._shift[0]:.1f} px, at {self._shift[1]:.1f} s"
+            found.append(Measure("camera-moves", text, why="shift"))
         if self._zoom[0] > ZOOM:
-            found.append(
-                Fault(
-                    "zoom and focus",
-                    f"its background changes size by up to {100 * self._zoom[0]:.2f} %, at {self._zoom[1]:.1f} s",
-                    "Lock focus and zoom before filming; film the calibration board with the same setting.",
-                )
+            text = (
+                f"its background changes size by up to {100 * self._zoom[0]:.2f} %, at {self._zoom[1]:.1f} s"
             )
+            found.append(Measure("camera-moves", text, why="zoom"))
         return found

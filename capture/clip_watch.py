@@ -5,8 +5,9 @@ from jaxtyping import UInt8
 
 from devrf.capture.clip_faults import LOOK_EVERY_S, Levels, Repeats, Tripod
 from devrf.capture.courses import CourseMeter
-from devrf.capture.frames import Fault, Role, places
+from devrf.capture.frames import Role, places
 from devrf.capture.light import SMALL_SIDE_PX, LightMeter, clipped_share, highlight_faults
+from devrf.capture.measure import Measure
 from devrf.capture.video import VideoFrame, VideoInfo
 
 FIXED: tuple[Role, ...] = ("camera", "test", "joint")  # on a tripod
@@ -47,7 +48,7 @@ class Seen:
         start, end = self.courses.empty()
         return self._indices[:start] + self._indices[len(self._indices) - end :]
 
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[Measure]:
         """What is suspicious, apart from frames that repeat others."""
         found = [*self._range.faults(), *highlight_faults(self._clipped or [])]
         return [*found, *(self._tripod.faults() if self._tripod else ())]
@@ -103,26 +104,26 @@ class Unused:
             notes.append(f"{self._untimed} of {count} frames have no row in the table of times; not used")
         return notes
 
-    def faults(self) -> list[Fault]:
+    def faults(self) -> list[Measure]:
         """What is suspicious."""
         found = []
         if self._damaged:
             index, time_s = self._damaged[0]
             found.append(
-                Fault(
-                    "damaged frames",
+                Measure(
+                    "not-used",
                     f"{len(self._damaged)} frames are damaged, the first is {index} at {time_s:.2f} s; not used",
-                    "Copy the clip from the camera again; use a faster or newer card.",
+                    why="damaged",
                 )
             )
         if self._resized:
             index, time_s, (width, height) = self._resized[0]
             found.append(
-                Fault(
-                    "size of the pictures",
+                Measure(
+                    "not-used",
                     f"{len(self._resized)} frames from {index} at {time_s:.2f} s on are {width}x{height}, the first "
                     f"ones {self._size[0]}x{self._size[1]}; not used",
-                    "Keep one camera in one mode for a whole clip; cut the clip where its size changes.",
+                    why="size",
                 )
             )
         return found

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.exif import Exif, exif_from_dict
+from devrf.capture.measure import Measure
 
 Role = Literal["sweep", "camera", "test", "board", "joint"]
 
@@ -59,21 +60,6 @@ class FrameRecord:
         if self.photo is not None:
             return self.photo
         return f"frame {self.index}" if self.time_s is None else f"frame {self.index} ({self.time_s:.2f} s)"
-
-
-@dataclass(frozen=True)
-class Fault:
-    """Something suspicious about a clip, and what a crew can do.
-
-    Attributes:
-        check: What was looked at, a few words.
-        found: What was found, with frames and times.
-        remedy: What to do.
-    """
-
-    check: str
-    found: str
-    remedy: str
 
 
 @dataclass(frozen=True)
@@ -121,7 +107,7 @@ class CameraFrames:
     ended_early: str | None = None
     announced_frames: int | None = None
     notes: tuple[str, ...] = ()
-    faults: tuple[Fault, ...] = ()
+    faults: tuple[Measure, ...] = ()
 
     @property
     def used(self) -> tuple[FrameRecord, ...]:
@@ -187,13 +173,19 @@ class FrameSet:
 
 def _camera_frames(raw: dict[str, Any]) -> CameraFrames:
     frames = tuple(FrameRecord(**{**frame, "exif": exif_from_dict(frame["exif"])}) for frame in raw["frames"])
-    faults = tuple(Fault(**fault) for fault in raw["faults"])
+    faults = tuple(Measure(**fault) for fault in raw["faults"])
     return CameraFrames(**{**raw, "frames": frames, "notes": tuple(raw["notes"]), "faults": faults})
 
 
 def places(items: Sequence[int] | Sequence[str]) -> str:
     """The first few of many frames or photos."""
     return ", ".join(map(str, items[:LISTED])) + (" ..." if len(items) > LISTED else "")
+
+
+def some(things: Sequence[Any], most: int = 6) -> str:
+    """The first few of many things, and how many more there are; "none" of none."""
+    more = f" and {len(things) - most} more" if len(things) > most else ""
+    return (", ".join(map(str, things[:most])) + more) or "none"
 
 
 # --- sharpness and choice ---

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.errors import CaptureError
-from devrf.capture.frames import Fault
+from devrf.capture.measure import Measure
 from devrf.capture.srgb import LINEAR_OF_LEVEL
 
 CELLS = (24, 32)  # rows, columns; a moving hand leaves most of them alone
@@ -105,18 +105,13 @@ def clipped_share(rgb: UInt8[np.ndarray, "h w 3"]) -> float:
     return float((rgb.max(axis=-1) >= AT_WHITE).mean())
 
 
-def highlight_faults(shares: Sequence[float]) -> list[Fault]:
+def highlight_faults(shares: Sequence[float]) -> list[Measure]:
     """What `clipped_share` of several pictures of one source says."""
     share = float(np.median(shares)) if shares else 0.0
     if share <= CLIPPED_SHARE:
         return []
-    return [
-        Fault(
-            "highlights",
-            f"{100 * share:.0f} % of the picture is at white, expected at most {100 * CLIPPED_SHARE:.0f} %",
-            "Lower the exposure, or keep windows and lamps out of the picture.",
-        )
-    ]
+    text = f"{100 * share:.0f} % of the picture is at white, expected at most {100 * CLIPPED_SHARE:.0f} %"
+    return [Measure("highlights", text)]
 
 
 def _course(table: Float[np.ndarray, "n columns"]) -> LightCourse:

@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 from devrf.capture.errors import InputError
-from devrf.capture.frames import Fault, places
+from devrf.capture.frames import places
+from devrf.capture.measure import Measure
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.raw import is_raw
 
@@ -68,20 +69,21 @@ def unread_kinds(folder: Path) -> dict[str, list[Path]]:
     return found
 
 
-def unread_faults(folder: Path) -> list[Fault]:
+def unread_faults(folder: Path) -> list[Measure]:
     """What to say of photos of a folder, or in folders in it, that are not read."""
     faults, unread = [], unread_kinds(folder)
     if unread:
         count = sum(map(len, unread.values()))
         first = places([file.name for files in unread.values() for file in files])
         text = f"{count} beside {len(list_pictures(folder))} that are: {_counted(unread)} ({first})"
-        faults.append(Fault("photos that are not read", text, f"To use them, {CONVERT}."))
+        faults.append(
+            Measure("not-used", f"photos that are not read: {text}", why="kinds", facts={"convert": CONVERT})
+        )
     parts = _parts(folder)
     inside = {p.name: len(_photos(p)) for p in _folders(folder) if p not in parts}
     if any(inside.values()):
         text = ", ".join(f"{count} in {name}" for name, count in inside.items() if count)
-        remedy = "Only the folder's own photos are read: put those that belong to it there too."
-        faults.append(Fault("photos in folders inside", text, remedy))
+        faults.append(Measure("not-used", f"photos in folders inside: {text}", why="folders"))
     return faults
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from devrf.capture.exif import Exif
 from devrf.capture.frames import (
     CameraFrames,
-    Fault,
     FrameRecord,
     Role,
     grey_small,
@@ -19,6 +18,7 @@ from devrf.capture.frames import (
     sharpness,
 )
 from devrf.capture.light import clipped_share, highlight_faults
+from devrf.capture.measure import Measure
 from devrf.capture.photo_folders import list_pictures, numbering, unread_faults
 from devrf.capture.pictures import copy_upright, probe_picture, read_picture
 from devrf.capture.progress import Progress, no_progress
@@ -165,20 +165,15 @@ def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> lis
     return notes
 
 
-def _curve_fault(photos: list[_Photo]) -> list[Fault]:
+def _curve_fault(photos: list[_Photo]) -> list[Measure]:
     """Photos that say they hold something like linear light."""
     other = [photo for photo in photos if photo.gamma is not None and photo.gamma < LEAST_GAMMA]
     if not other:
         return []
-    return [
-        Fault(
-            "transfer curve",
-            f"{len(other)} of {len(photos)} photos name a gamma of {other[0].gamma:.2g}, all are taken as sRGB: "
-            f"{places([photo.name for photo in other])}",
-            "Linear light taken as sRGB is too dark and flat: export the photos with the sRGB curve, or give the RAW "
-            "files.",
-        )
-    ]
+    gamma = (
+        f"{len(other)} of {len(photos)} photos name a gamma of {other[0].gamma:.2g}, all are taken as sRGB"
+    )
+    return [Measure("coding", f"{gamma}: {places([photo.name for photo in other])}", why="linear")]
 
 
 def _sizes(counts: Counter[Size], which: set[Size]) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from devrf.capture.frames import Fault
+from devrf.capture.measure import Measure
 from devrf.capture.media import mean_fps, open_media, tag
 from devrf.capture.timecode_track import timecode_rate
 
@@ -75,7 +75,7 @@ def timecode_s(text: str, fps: float) -> float | None:
     return number / fps
 
 
-def rate_faults(timecode_fps: float | None, fps: float | None) -> list[Fault]:
+def rate_faults(timecode_fps: float | None, fps: float | None) -> list[Measure]:
     """What to say where pictures come at another rate than the timecode counts, and not at two or four times it."""
     if (
         not timecode_fps
@@ -83,13 +83,9 @@ def rate_faults(timecode_fps: float | None, fps: float | None) -> list[Fault]:
         or any(abs(fps / (n * timecode_fps) - 1) < RATE_TOLERANCE for n in (1, 2, 4))
     ):
         return []
-    return [
-        Fault(
-            "rate of the timecode",
-            f"it counts {timecode_fps:.4g} a second, pictures come at {fps:.4g}: a factor of {fps / timecode_fps:.3g}",
-            "Set project and camera to one rate; if it is slow motion, give true times in capture.timestamps.",
-        )
-    ]
+    rates = f"{timecode_fps:.4g} a second, pictures come at {fps:.4g}"
+    text = f"the timecode counts {rates}: a factor of {fps / timecode_fps:.3g}"
+    return [Measure("clip-times", text, why="timecode")]
 
 
 def _counted(fps: float | None) -> float | None:

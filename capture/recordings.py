@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from devrf.capture.errors import DevrfError
-from devrf.capture.frames import Fault
+from devrf.capture.measure import Measure
 from devrf.capture.recorded import read_recorded
 from devrf.capture.video import probe_video
 
@@ -40,19 +40,14 @@ def chapters(path: Path) -> list[Path]:
     return before + after[1:]
 
 
-def chapter_faults(path: Path) -> list[Fault]:
+def chapter_faults(path: Path) -> list[Measure]:
     """What to say of a clip that is one of several chapters, of which only it is used."""
     parts = chapters(path)
     if len(parts) < 2:
         return []
     others = ", ".join(p.name for p in parts if p != path)
-    return [
-        Fault(
-            "chapters of one recording",
-            f"{path.name} is one of {len(parts)}, {others} not used",
-            f"Join them without coding anew, and name the result instead: {join_command(parts)}.",
-        )
-    ]
+    text = f"{path.name} is one of {len(parts)} chapters of one recording, {others} not used"
+    return [Measure("not-used", text, why="chapters", facts={"command": join_command(parts)})]
 
 
 def join_command(parts: Sequence[Path]) -> str:

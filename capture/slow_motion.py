@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from devrf.capture.errors import InputError
-from devrf.capture.frames import Fault
+from devrf.capture.measure import Measure
 from devrf.capture.media import mean_fps, open_media, tag
 
 FILMED_FPS = "com.android.capture.fps"  # tag of phones: pictures a second while filming
@@ -45,7 +45,7 @@ def check_filmed_rate(path: Path) -> None:
     raise InputError("clip-slow-motion", text)
 
 
-def length_faults(pictures_s: float, sound_s: float) -> list[Fault]:
+def length_faults(pictures_s: float, sound_s: float) -> list[Measure]:
     """What to say of a clip whose pictures last as long as they do, and its sound."""
     if min(pictures_s, sound_s) <= 0 or abs(pictures_s - sound_s) < LEAST_APART_S:
         return []
@@ -54,16 +54,12 @@ def length_faults(pictures_s: float, sound_s: float) -> list[Fault]:
         return []
     slow = round(factor) >= 2 and abs(factor / round(factor) - 1) < WHOLE
     found = f"{pictures_s:.2f} s of pictures, {sound_s:.2f} s of sound"
-    if slow:
-        remedy = (
-            f"Slow motion has such a factor: {_scaled(1 / factor)} makes its times true, without sound; as it is, its "
-            "clock by sound is wrong."
+    facts = {"command": _scaled(1 / factor)}
+    return [
+        Measure(
+            "clip-times", f"{found}: a factor of {factor:.3g}", why="slow" if slow else "cut", facts=facts
         )
-    else:
-        remedy = (
-            "One of the two was cut or lost: copy the camera's own file again; clocks by sound need both."
-        )
-    return [Fault("length of pictures and sound", f"{found}: a factor of {factor:.3g}", remedy)]
+    ]
 
 
 def _scaled(factor: float) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from devrf.capture.errors import InputError
-from devrf.capture.frames import Fault
 from devrf.capture.limits import CLIP_S, TEXT_BYTES, check_bytes
+from devrf.capture.measure import Measure
 from devrf.capture.media import check_file
 from devrf.capture.slow_motion import is_one
 
@@ -129,18 +129,13 @@ def check_indices(table: Path, camera: str, times: FrameTimes, clip: Path, frame
         raise InputError("frames-not-in-clip", f"{wrong}; count frame_index from 0 in each clip")
 
 
-def table_faults(factor: float | None) -> list[Fault]:
+def table_faults(factor: float | None) -> list[Measure]:
     """What to say where a table's steps are not those of the clip, though both may be right: slow motion."""
     if factor is None or is_one(factor):
         return []
     like = f"slow motion, {1 / factor:.3g} times" if factor < 1 else "a time lapse"
-    return [
-        Fault(
-            "steps of the table of times",
-            f"{factor:.3g} times those of the clip, as of {like}; the table is used",
-            "If the clip plays as it was filmed, correct time_s in capture.timestamps.",
-        )
-    ]
+    text = f"steps of the table are {factor:.3g} times those of the clip, as of {like}; the table is used"
+    return [Measure("clip-times", text, why="table")]
 
 
 def _times_row(row: dict[str, str], where: str) -> tuple[str, int, float]:

@@ -23,7 +23,6 @@ class PairChecks:
         unsure: Of the trusted, those whose texture does not place them to half a pixel.
         warped, still: Difference to the previous picture after warping and before, grey levels, over the trusted.
         missed_px: Some misses of the round trip, trusted pixels.
-        brightness: Share by which what stands still got brighter; None where too little does.
         shake_px: By how much every corner of the picture moves at least; None where too few have texture.
         elsewhere: Another explanation of the flow -> (what warping leaves by it, what is left as it is).
     """
@@ -38,7 +37,6 @@ class PairChecks:
     warped: float = 0.0
     still: float = 0.0
     missed_px: Sequence[float] = ()
-    brightness: float | None = None
     shake_px: float | None = None
     elsewhere: dict[str, Sequence[float]] = field(default_factory=dict)
 
@@ -59,8 +57,6 @@ class FlowChecks:
         warp_ratio: Difference to the previous picture after warping over the difference before, on moving,
             valid pixels. Below 1 for a flow of the right direction and sign; None where nothing moves.
         large: Share of moving, valid pixels that move by more than 1/8 of the width.
-        brightness_step: Largest share by which what stands still changes its brightness from one frame to the
-            next; None where too little stands still.
         shake_px: Movement of the picture's corners that nine of ten pairs stay below; None where it cannot be told.
         better_as: What the flow rather is, by warping: `next`, `before` (that of another pair), `forward` (to the
             next frame), `full size` (in pixels of another size); None: what it says.
@@ -76,7 +72,6 @@ class FlowChecks:
     round_trip_px: float | None
     warp_ratio: float | None
     large: float
-    brightness_step: float | None
     shake_px: float | None
     better_as: str | None
 
@@ -88,7 +83,6 @@ def summary(pairs: Sequence[PairChecks], gaps: int) -> FlowChecks:
         for name in ("pixels", "textured", "valid", "moving", "trusted", "large", "unsure", "warped", "still")
     }
     missed = [miss for pair in pairs for miss in pair.missed_px]
-    steps = [abs(pair.brightness) for pair in pairs if pair.brightness is not None]
     shakes = [pair.shake_px for pair in pairs if pair.shake_px is not None]
     trusted = total["trusted"]
     return FlowChecks(
@@ -102,7 +96,6 @@ def summary(pairs: Sequence[PairChecks], gaps: int) -> FlowChecks:
         round_trip_px=float(np.median(missed)) if missed else None,
         warp_ratio=_share(total["warped"], total["still"]),
         large=_share(total["large"], trusted) or 0.0,
-        brightness_step=max(steps, default=None),
         shake_px=float(np.percentile(shakes, SHAKE_PERCENTILE)) if shakes else None,
         better_as=_better_as(pairs),
     )

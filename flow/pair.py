@@ -22,7 +22,6 @@ HALF_WEIGHT_PX = 0.5  # an expected error that halves a vector's weight: the con
 LEAST_NOISE = 0.5  # grey levels: rounding to whole ones
 MISSES = 256  # round trips kept of each pair: a median needs no more
 CORNERS, CORNER_TEXTURED = 4, 0.2  # a quarter of each side; share of a corner to be told anything by
-STILL_SHARE = 0.01  # of the pixels, that have to stand still for their brightness to be compared
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,6 @@ def measured(
         warped=float(left[trusted].sum(dtype=np.float64)),
         still=float(np.abs(now - then)[trusted].sum(dtype=np.float64)),
         missed_px=[] if missed is None else _some(missed[trusted]),
-        brightness=_brightness(now, then, textured & valid & (length <= MOVING_PX)),
         shake_px=_shake_px(found.flow, textured & valid),
         elsewhere=elsewhere,
     )
@@ -138,15 +136,6 @@ def _unsure_px(
 def _some(values: Float32[np.ndarray, " m"]) -> list[float]:
     """Evenly picked."""
     return [round(float(x), 3) for x in values[:: max(1, -(-len(values) // MISSES))]]
-
-
-def _brightness(
-    now: Float32[np.ndarray, "h w"], then: Float32[np.ndarray, "h w"], still: Bool[np.ndarray, "h w"]
-) -> float | None:
-    """By what share what stands still got brighter; None where too little does."""
-    if still.mean() < STILL_SHARE:
-        return None
-    return float(np.median((now - then)[still]) / max(1.0, float(np.median(then[still]))))
 
 
 def _shake_px(flow: Float32[np.ndarray, "h w 2"], trusted: Bool[np.ndarray, "h w"]) -> float | None:

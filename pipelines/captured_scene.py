@@ -20,12 +20,13 @@ from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
+from devrf.capture.measure import Measure, of_test
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import clock_dict, read_clocks, read_contradictions
-from devrf.pipelines.health.box import box_health
-from devrf.pipelines.health.matte import matte_health
-from devrf.pipelines.health.rows import NO_PICTURE, HealthRow, left_out_row, note, of_test, without_refusal
+from devrf.pipelines.health.box import box_measures
+from devrf.pipelines.health.left_out import NO_PICTURE, left_out
+from devrf.pipelines.health.matte import matte_measures
 from devrf.pipelines.measured_rest import rest_time
 from devrf.pipelines.scene_mattes import scene_mattes
 from devrf.pipelines.stage import StageContext
@@ -59,7 +60,7 @@ def scene_from_capture(
     static = () if whole is None else _sweep_frames(whole, ingest, factor, every)
     clocks = _clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
-    context.health.extend(left_out(frames.trained, frames.tests, dynamic))
+    context.measures += unused(frames.trained, frames.tests, dynamic)
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
     points = None if whole is None else _points(whole, factor, every)
@@ -76,13 +77,11 @@ def scene_from_capture(
     if mattes is None:
         masks = list(moves.values())
     else:
-        assert config.capture.mattes is not None
-        static, dynamic, method = mattes.static, mattes.dynamic, config.capture.mattes.method
+        static, dynamic = mattes.static, mattes.dynamic
         for name in frames.tests.keys() & mattes.cameras.keys():
-            rows = matte_health(mattes.only([name]), method)
-            context.health.extend(without_refusal(of_test(name, rows)))
+            context.measures += of_test(name, matte_measures(mattes.only([name])))
         mattes = mattes.only([SWEEP, *frames.trained])
-        context.health.extend(matte_health(mattes, method))
+        context.measures += matte_measures(mattes)
         masks = mattes.hull_masks
         if points is not None and mattes.everywhere:
             small = [fact.small for fact in mattes.cameras[SWEEP].facts]
@@ -102,7 +101,7 @@ def scene_from_capture(
         stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
         across(training(static + dynamic)),
     )
-    context.health.extend(box_health(bounds, moves, mattes, dynamic, training(static)))
+    context.measures += box_measures(bounds, moves, mattes, dynamic, training(static))
     rest = None
     if dynamic:
         of_camera = {n: [f for f in dynamic if f.camera_name == n] for n in moves}
@@ -110,7 +109,7 @@ def scene_from_capture(
         rest, seen = rest_time(
             config.capture.rest, filmed, moves, _shared(training(dynamic)), model, factor, ingest
         )
-        context.health.append(seen)
+        context.measures += seen
     scene = Scene(
         static=static,
         dynamic=dynamic,
@@ -172,9 +171,9 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
 
     def check(
         n: int, asked: Mapping[str, CameraFrames], clocks: Mapping[str, Clock], test: str | None = None
-    ) -> tuple[dict[str, Clock], list[HealthRow], dict[str, Any]]:
+    ) -> tuple[dict[str, Clock], list[Measure], dict[str, Any]]:
         return clock_check(
-            ingest, asked, cameras, clocks, motion, rig.scale.metric,
+            ingest, asked, cameras, clocks, motion,
             lambda done, text: context.progress(0.4 * (n + done) / parts, text),
             () if test is None else frames.trained, contradictions.get(test),
         )  # fmt: skip
@@ -182,17 +181,17 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
     clocks = {name: said[name] for name in frames.trained}
     content: dict[str, Any] = {}
     if len(clocks) > 1:
-        clocks, rows, content = check(0, frames.trained, clocks)
-        context.health.extend(rows)
+        clocks, measured, content = check(0, frames.trained, clocks)
+        context.measures += measured
     content = content or {"cameras": {name: clock_dict(clock) for name, clock in clocks.items()}}
     content["tests"] = {}
     for n, (name, camera) in enumerate(frames.tests.items()):
         alone = {one: clocks[one] for one in frames.trained} | {name: said[name]}
-        found, rows, told = check(n + 1, frames.trained | {name: camera}, alone, name)
+        found, measured, told = check(n + 1, frames.trained | {name: camera}, alone, name)
         clocks[name] = found[name]
         content["cameras"][name] = clock_dict(found[name])
         content["tests"][name] = {key: value for key, value in told.items() if key != "cameras"}
-        context.health.extend(without_refusal(of_test(name, rows)))
+        context.measures += of_test(name, measured)
     text = json.dumps(content, allow_nan=False) + "\n"
     (context.out / "clock_check.json").write_text(text, encoding="utf-8")
     return clocks
@@ -258,20 +257,19 @@ def without_single_pictures(dynamic: Sequence[PosedFrame]) -> tuple[PosedFrame, 
     return tuple(frame for frame in dynamic if frame.camera_name not in single)
 
 
-def left_out(
-    trained: Collection[str], tests: Collection[str], dynamic: Sequence[PosedFrame]
-) -> list[HealthRow]:
-    """Rows on cameras none of whose pictures is used, if there are any: one on those that are to be trained on."""
+def unused(trained: Collection[str], tests: Collection[str], dynamic: Sequence[PosedFrame]) -> list[Measure]:
+    """Cameras none of whose pictures is used."""
     used = {frame.camera_name for frame in dynamic}
-    rows = [left_out_row(name, NO_PICTURE) for name in tests if name not in used]
-    names = ", ".join(name for name in trained if name not in used)
-    if not names:
-        return rows
-    remedy = (
-        f"Nothing of {names} is used: while two training cameras film it takes no picture, or a single one. "
-        "Start all clips before the action and stop them after it, or check capture.range_s and the clocks."
-    )
-    return [note("cameras of which nothing is used", names, remedy=remedy), *rows]
+    found = [left_out(name, NO_PICTURE) for name in tests if name not in used]
+    facts = {
+        "reason": "while two training cameras film it takes no picture, or a single one. Start all clips before the "
+        "action and stop them after it, or check capture.range_s and the clocks."
+    }
+    names = [name for name in trained if name not in used]
+    return [
+        *(Measure("camera-left-out", "nothing of it is used", name, facts=facts) for name in names),
+        *found,
+    ]
 
 
 def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:

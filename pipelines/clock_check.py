@@ -1,4 +1,4 @@
-"""Clocks against geometry, once cameras are known: reads pictures, calls the check, makes rows of it."""
+"""Clocks against geometry, once cameras are known: reads pictures, calls the check, says what it measured."""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict
@@ -20,21 +20,24 @@ from devrf.calibration.clocks.geometry import (
     refined,
 )
 from devrf.calibration.clocks.spans import most_together
-from devrf.calibration.clocks.sync import SOUND_PATH_S_PER_M
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
+from devrf.capture.measure import Measure
 from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress
 from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.health.clock import BY_TRACKING, REFUSED_BELOW, UNSURE_FRAMES, confidence_row, frame_ms
-from devrf.pipelines.health.rows import HealthRow, listed, note, row
+from devrf.pipelines.health.clock import (
+    BY_TRACKING,
+    REFUSED_BELOW,
+    UNSURE_FRAMES,
+    confidence_measure,
+    frame_ms,
+)
 
 SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
 MOST_FRAMES = 96  # of each camera, where most moves: more do not make the minimum sharper, only slower
 MIN_FRAMES = 12
 UNKNOWN_FRAMES = 3.0  # standard deviation of a clock by geometry that is worth a refusal
-WORDS = {"audio": "sound", "none": "nothing"}
-FAR_M = 3.0  # a rig wider than this hears one clap at clearly different times
 
 
 def timed_pictures(
@@ -75,76 +78,59 @@ def clock_check(
     cameras: Mapping[str, Camera],
     clocks: Mapping[str, Clock],
     motion: Mapping[str, Float[np.ndarray, "_ 2"]],
-    metric: bool,
     progress: Progress,
     known: Collection[str] = (),
     loop_s: float | None = None,
-) -> tuple[dict[str, Clock], list[HealthRow], dict[str, Any]]:
-    """The clocks to be used, rows about them, and the content of `clock_check.json`.
+) -> tuple[dict[str, Clock], list[Measure], dict[str, Any]]:
+    """The clocks to be used, what was measured of them, and the content of `clock_check.json`.
 
     `known`: cameras whose clocks stand, which the others are checked against; `loop_s`: `check_clocks`.
     """
     views = timed_pictures(folder, frames, cameras, clocks, motion)
     if len(views) < 2 or views.keys() <= set(known):
-        few = f"fewer than {MIN_FRAMES} pictures of two cameras in a time that they share"
-        rows = [note("clocks that geometry cannot check", few)]
         asked = {n: c for n, c in clocks.items() if n not in known}
-        return dict(clocks), rows + unknown_rows(asked, "too few pictures for geometry", frames), {}
+        return dict(clocks), unknown_clocks(asked, "too few pictures for geometry", frames), {}
     check = check_clocks(views, clocks, progress, known, loop_s)
     used = refined(clocks, check)
     asked = {n: c for n, c in used.items() if n not in known}
-    rows = check_rows(check, clocks, asked, frames) + unknown_rows(asked, "; ".join(check.notes), frames)
-    if metric and not known:
-        rows += sound_travel(cameras, clocks)
-    return used, rows, _content(check, used)
+    found = [
+        *check_measures(check, clocks, asked, frames),
+        *unknown_clocks(asked, "; ".join(check.notes), frames),
+    ]
+    return used, found, _content(check, used)
 
 
-@listed
-def check_rows(
+def check_measures(
     check: GeometryCheck,
     clocks: Mapping[str, Clock],
     used: Mapping[str, Clock],
     frames: Mapping[str, CameraFrames],
-) -> Iterator[HealthRow]:
+) -> Iterator[Measure]:
     """What geometry says of the clocks that are used."""
     replaced = [n for n in used if used[n].method == "geometry"]
     if replaced:
-        text = ", ".join(f"{n} {1e3 * (used[n].offset_s - clocks[n].offset_s):+.1f} ms" for n in replaced)
-        before = ", ".join(sorted({WORDS.get(clocks[n].method, clocks[n].method) for n in replaced}))
-        yield note(f"clocks by geometry instead of {before}", text)
         vague = max(replaced, key=lambda n: used[n].std_s)
         step_ms = frame_ms(frames[vague])
-        yield row(
-            f"standard deviation of clocks by geometry, worst camera ({vague})",
+        yield Measure(
+            "clock-vague",
             1e3 * used[vague].std_s,
-            "ms",
-            warn_above=UNSURE_FRAMES * step_ms,
-            fail_above=UNKNOWN_FRAMES * step_ms,
-            remedy="The pictures alone say no more: give all cameras sound and clap a few times, or flash a light.",
+            vague,
+            "geometry",
+            warn=UNSURE_FRAMES * step_ms,
+            fail=UNKNOWN_FRAMES * step_ms,
         )
     kept = {n: c for n, c in check.corrections.items() if n not in replaced and c.sharp}
     if kept:
         worst = max(kept, key=lambda n: abs(kept[n].offset_s))
-        found = kept[worst]
-        cue = clocks[worst].method
-        yield row(
-            f"clock against geometry, worst camera ({worst})",
+        found, cue = kept[worst], clocks[worst].method
+        yield Measure(
+            "clocks-disagree",
             1e3 * abs(found.offset_s),
-            "ms",
-            warn_above=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
-            remedy=f"{worst}: {cue} says 0, geometry {1e3 * found.offset_s:+.1f} ms (the epipolar error is "
-            f"smallest there). {_mend(worst, cue, found.offset_s)}, or check the camera's pose.",
+            worst,
+            "geometry",
+            {"cue": cue, "offset_ms": 1e3 * found.offset_s, "mend": _mend(worst, cue, found.offset_s)},
+            warn=max(SHIFT_FRAMES * frame_ms(frames[worst]), SHIFT_SIGMAS * 1e3 * found.std_s),
         )
-    unchecked = [
-        n
-        for n in list(clocks)[1:]
-        if n in used and n not in replaced and (n not in check.corrections or not check.corrections[n].sharp)
-    ]
-    if unchecked:
-        text = (
-            f"{', '.join(unchecked)}: {'; '.join(check.notes) or 'no pair of cameras shows the same motion'}"
-        )
-        yield note("clocks that geometry cannot check", text)
 
 
 def _mend(name: str, cue: str, offset_s: float) -> str:
@@ -157,7 +143,7 @@ def _mend(name: str, cue: str, offset_s: float) -> str:
     return "Film with sound and clap a few times"
 
 
-def unknown_rows(used: Mapping[str, Clock], why: str, frames: Mapping[str, CameraFrames]) -> list[HealthRow]:
+def unknown_clocks(used: Mapping[str, Clock], why: str, frames: Mapping[str, CameraFrames]) -> list[Measure]:
     """A refusal where a clock that was to be found by a cue is still not known.
 
     A warning where motion gave a guess that tracking can be expected to mend, which tries up to three pictures.
@@ -172,23 +158,7 @@ def unknown_rows(used: Mapping[str, Clock], why: str, frames: Mapping[str, Camer
     if worst is None:
         return []
     hope = BY_TRACKING if pictures(worst) <= UNKNOWN_FRAMES else ""
-    return [confidence_row(worst, unknown[worst], why, hope)]
-
-
-def sound_travel(cameras: Mapping[str, Camera], clocks: Mapping[str, Clock]) -> list[HealthRow]:
-    """How far apart in time one clap can be heard, by the rig's size; nothing where no clock is by sound."""
-    heard = [n for n, c in clocks.items() if c.method in ("audio", "reference")]
-    if not any(clocks[n].method == "audio" for n in heard):
-        return []
-    centres = np.array([cameras[n].centre for n in heard])
-    widest_m = float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
-    value = (
-        f"up to {1e3 * SOUND_PATH_S_PER_M * widest_m:.1f} ms: the microphones stand {widest_m:.1f} m apart"
-    )
-    if widest_m <= FAR_M:
-        return [note("sound's travel", value)]
-    remedy = "Clap in the middle, equally far from all cameras, or use a flash of light."
-    return [note("sound's travel", value, remedy=remedy)]
+    return [confidence_measure(worst, unknown[worst], why, hope)]
 
 
 def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:

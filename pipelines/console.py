@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from devrf.capture.progress import Progress as ProgressCallback
-from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.judge import HealthRow
 from devrf.pipelines.logs import Events
 from devrf.pipelines.printable import printable
 
@@ -172,7 +172,7 @@ def describe(row: HealthRow) -> str:
         value = f"{row.value:.4g} {row.unit}".rstrip()
     bound = row.fail if row.verdict == "fail" else row.warn
     expectation = f" (bound {bound:.4g} {row.unit}".rstrip() + ")" if bound is not None else ""
-    return f"{row.check}: {value}{expectation if row.verdict != 'ok' else ''}" + (
+    return f"{row.title}: {value}{expectation if row.verdict != 'ok' else ''}" + (
         f"; {row.remedy}" if row.remedy else ""
     )
 

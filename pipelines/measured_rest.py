@@ -9,20 +9,15 @@ from jaxtyping import Float
 from devrf.calibration.motion_masks import MotionMask
 from devrf.calibration.rest_moment import RestSeen, middle_of, moments_of, rest_moment, rest_seen, rest_votes
 from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.capture.measure import Measure
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.rest import Rest
 from devrf.capture.scene import PosedFrame
 from devrf.capture.stillness import AT_REST, moving_share, smooth_grey
-from devrf.pipelines.health.rows import HealthRow, note
 
-CHECK = "scene at rest in the clips"
 SUCCESSIVE = 4  # pictures, to see whether anything moves
 LATEST = 0.25  # of the time: a camera that begins to film later does not see a rest that scene.yaml puts at the start
 WITHIN_GAPS = 1.5  # of a camera's pictures: it films whenever one is no farther away
-REMEDY = (
-    "Let the fixed cameras run for a second before the action, or say in capture.rest when their clips show the "
-    "scene as in the sweep."
-)
 
 
 def rest_time(
@@ -33,8 +28,8 @@ def rest_time(
     model: SweepModel | None,
     factor: float,
     ingest: Path,
-) -> tuple[float | None, HealthRow]:
-    """The time of rest in [0, 1], None without one; and what was seen.
+) -> tuple[float | None, list[Measure]]:
+    """The time of rest in [0, 1], None without one; and what was seen, if anything was looked at.
 
     Args:
         asked: What scene.yaml says.
@@ -53,7 +48,7 @@ def rest_time(
     end = shared[1] if shared[1] >= 1 - LATEST else 1.0
     said = {"end": end, "middle": 0.5, "none": None}.get(asked, begin)
     if model is None or not clips:
-        return said, note(CHECK, "not measured")
+        return said, []
     times = moments_of(shared)
     seen = {name: _seen(clip, times, masks[name], model, factor, read) for name, clip in clips.items()}
     votes = rest_votes(list(seen.values()))
@@ -66,7 +61,8 @@ def rest_time(
     nobody = time is not None and votes[np.abs(times - time).argmin()] == 0
     doubtful = nobody or (asked == "auto" and time is None)
     against = "" if asked in ("auto", moment) else f", capture.rest says {asked}"
-    return time, note(CHECK, f"{found}{against}; {told}", remedy=REMEDY if doubtful else "")
+    verdict = "warn" if doubtful else "ok"
+    return time, [Measure("rest-unseen", f"{found}{against}; {told}", why="never", found=verdict)]
 
 
 def _seen(

@@ -19,7 +19,7 @@ from devrf.capture.progress import Progress
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.capture_session import raw_file
 from devrf.pipelines.config.scene import MattesConfig
-from devrf.pipelines.health.rows import left_out_row
+from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.stage import StageContext
 
 HULL_PICTURES = 24  # of a sweep, for the box
@@ -92,7 +92,7 @@ def scene_mattes(
         except DevrfError as error:
             if name not in frames.tests:
                 raise
-            context.health.append(left_out_row(name, str(error)))
+            context.measures.append(left_out(name, str(error)))
             dynamic = tuple(frame for frame in dynamic if frame.camera_name != name)
     matte_of = {
         picture: matte

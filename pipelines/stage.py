@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from devrf.capture.measure import Measure
 from devrf.capture.progress import Progress
 from devrf.pipelines.budget.allowance import UNBOUNDED, Allowance
-from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.judge import HealthRow, judge
 
 if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig
@@ -24,7 +25,7 @@ class StageContext:
         out: Empty folder to write into; the runner gives it its name when the stage has succeeded.
         progress: To be called with (fraction done, short text).
         device: "cpu" or "cuda".
-        health: Rows the stage adds about its own result.
+        measures: What the stage adds about its own result; judged at its end.
         say: Tells the user one line that stays, such as what was decided and why.
         made_from: All that the result depends on, as its stamp will say.
         referred: Files that its result refers to instead of holding them, where the stage says so (`refers`).
@@ -38,12 +39,17 @@ class StageContext:
     out: Path
     progress: Progress
     device: str
-    health: list[HealthRow] = field(default_factory=list)
+    measures: list[Measure] = field(default_factory=list)
     say: Callable[[str], None] = lambda text: None
     made_from: dict[str, Any] = field(default_factory=dict)
     referred: list[Path] = field(default_factory=list)
     afterwards: list[Callable[[], None]] = field(default_factory=list)
     allowance: Allowance = UNBOUNDED
+
+    @property
+    def health(self) -> list[HealthRow]:
+        """What the stage measured of its own result, judged."""
+        return judge(self.measures)
 
 
 @dataclass(frozen=True)

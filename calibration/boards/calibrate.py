@@ -111,7 +111,6 @@ class BoardCalibration:
         board: As it was found to be printed.
         rms_px: Root mean square reprojection error per corner, as OpenCV counts.
         terms: What of the lens was fitted.
-        unsupported: Coefficients that a richer model would have had and the views do not support, with values.
         views: Views that were used.
         dropped: Frames of the views that did not fit, and their error, pixels.
         blurred: Frames of the views that were left out as blurred.
@@ -125,7 +124,6 @@ class BoardCalibration:
     board: BoardSpec
     rms_px: float
     terms: Terms
-    unsupported: str
     views: int
     dropped: dict[int, float]
     blurred: tuple[int, ...]
@@ -134,11 +132,6 @@ class BoardCalibration:
     bow_std_mm: tuple[float, float]
     held_out_rms_px: float | None
     evidence: Evidence
-
-    @property
-    def second_start_better(self) -> bool:
-        """Whether the start f = longest side beat the one from the views' homographies."""
-        return self.start_rms_px[1] < SECOND_START_GAIN * self.start_rms_px[0]
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; see docs/formats.md."""
@@ -210,7 +203,6 @@ def calibrate_intrinsics(
         board=spec,
         rms_px=fit.rms_px,
         terms=chosen.terms,
-        unsupported=chosen.unsupported,
         views=len(kept),
         dropped=dict(sorted(dropped.items())),
         blurred=blurred,
@@ -226,7 +218,6 @@ def calibrate_intrinsics(
 class _Choice:
     fit: Fit
     terms: Terms
-    unsupported: str
     start_rms_px: tuple[float, float]
 
 
@@ -262,10 +253,7 @@ def _choose_terms(corners: Corners, size: tuple[int, int], family: Sequence[Term
         pays = _criterion(fits[n], sigma) < _criterion(fits[chosen], sigma)
         if pays and _new_terms(fits[n], fits[chosen], SIGNIFICANT):
             chosen = n
-    refused = (
-        "" if chosen + 1 == len(family) else _unsupported(fits[chosen + 1], family[chosen + 1], fits[chosen])
-    )
-    return _Choice(fits[chosen], family[chosen], refused, start_rms)
+    return _Choice(fits[chosen], family[chosen], start_rms)
 
 
 def _best_start(corners: Corners, size: tuple[int, int], terms: Terms) -> tuple[Fit, tuple[float, float]]:
@@ -314,12 +302,6 @@ def _new_terms(rich: Fit, simple: Fit, deviations: float) -> bool:
     focal = simple.one_focal and not rich.one_focal
     apart = abs(rich.globals[1] - rich.globals[0]) > deviations * np.hypot(rich.std[0], rich.std[1])
     return bool(significant.any() or (focal and apart))
-
-
-def _unsupported(rich: Fit, terms: Terms, simple: Fit) -> str:
-    names = PARAMETERS if terms.model == "OPENCV" else FISHEYE_PARAMETERS
-    new = [i for i in np.flatnonzero(rich.free & ~simple.free) if i < len(names)]
-    return ", ".join(f"{names[i]} {rich.globals[i]:.2g} +- {rich.std[i]:.2g}" for i in new)
 
 
 def _bowed(choice: _Choice) -> _Choice:

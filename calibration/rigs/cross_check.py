@@ -46,14 +46,6 @@ class RigCheck:
         return 100 * abs(float(np.median(self.lengths_m)) / self.true_m - 1)
 
     @property
-    def near_to_far_percent(self) -> float:
-        """How much longer the same length comes out at the far end than at the near end (straight line)."""
-        near, far = np.quantile(self.distance_m, [0.05, 0.95])
-        centred = self.distance_m - self.distance_m.mean()
-        slope = centred @ self.lengths_m / max(centred @ centred, 1e-12)
-        return 100 * float(slope * (far - near) / self.true_m)
-
-    @property
     def spread_mm(self) -> float:
         """Standard deviation of the lengths."""
         return 1e3 * float(np.std(self.lengths_m))

@@ -16,9 +16,11 @@ from devrf.calibration.formats.opencv import is_json as is_opencv_json
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, read_rig
 from devrf.capture.errors import InputError
+from devrf.capture.measure import Measure, noted
 from devrf.capture.picture_files import natural_key
 
 KEY = "calibration.rig.given"
+CALIBRATION = "given calibration"
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # Cameras farther apart are in millimetres where a format does not say its unit, else a warning.
 LARGEST_RIG_M = 50.0
@@ -31,15 +33,6 @@ FARTHEST = 1e9  # of the world's origin from a camera: a thousand kilometres in 
 
 
 @dataclass(frozen=True)
-class GivenNote:
-    """What was assumed or changed; with a remedy where somebody should look at it."""
-
-    check: str
-    text: str
-    remedy: str = ""
-
-
-@dataclass(frozen=True)
 class Given:
     """What a calibration says about the cameras of a capture.
 
@@ -47,13 +40,13 @@ class Given:
         format: In words.
         rig: The cameras in one world; None where the file has intrinsics only.
         intrinsics: Of each camera.
-        notes: What was assumed or changed.
+        measures: What was assumed or changed.
     """
 
     format: str
     rig: Rig | None
     intrinsics: dict[str, Intrinsics]
-    notes: tuple[GivenNote, ...]
+    measures: tuple[Measure, ...]
 
 
 def read_given(
@@ -80,25 +73,24 @@ def read_given(
         own = read_rig(source)
     found = _found(source) if own is None else _own(own)
     where = str(source) if isinstance(source, Path) else KEY
-    notes = [GivenNote("given calibration", f"{found.format}, {len(found.cameras)} cameras")]
-    notes += [GivenNote("given calibration", text) for text in found.notes]
-    chosen, note = _match(names, list(found.cameras), where)
-    notes += [note] if note else []
+    notes = noted([f"{found.format}, {len(found.cameras)} cameras", *found.notes], CALIBRATION)
+    chosen, assumed = _match(names, list(found.cameras), where)
+    notes += assumed
     fitted: dict[str, FoundCamera] = {}
     for name in names:
-        fitted[name], note = _fitted(name, found.cameras[chosen[name]], sizes[name], where)
+        fitted[name], text = _fitted(name, found.cameras[chosen[name]], sizes[name], where)
         _check_plausible(name, fitted[name], sizes[name], where)
-        notes += [note] if note else []
+        notes += noted([text] if text else [], name)
     intrinsics = {
         name: Intrinsics(*sizes[name], c.K, c.distortion, None, c.model) for name, c in fitted.items()
     }
     without = [name for name, camera in fitted.items() if camera.cam_from_world is None]
     if without:
         if len(without) < len(fitted):
-            notes.append(GivenNote("poses not used", f"the file has none of {', '.join(without)}"))
+            notes += noted([f"poses are not used: the file has none of {', '.join(without)}"], CALIBRATION)
         return Given(found.format, None, intrinsics, tuple(notes))
-    scale, note = _scale(found, fitted, names, unit, known_distance_m)
-    notes += [note] if note else []
+    scale, assumed = _scale(found, fitted, names, unit, known_distance_m)
+    notes += assumed
     cameras = {name: _placed(intrinsics[name], fitted[name], scale.factor) for name in names}
     if own is not None and scale.factor == 1:  # its doubts are still true
         cameras = {name: replace(own.cameras[chosen[name]], camera=c.camera) for name, c in cameras.items()}
@@ -139,22 +131,21 @@ def _own(rig: Rig) -> Found:
     return Found("devrf rig.json", cameras, "m" if rig.scale.metric else "arbitrary")
 
 
-def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, str], GivenNote | None]:
+def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, str], list[Measure]]:
     """The capture's name -> the file's: the same name, else the same number, else the same place in the order."""
     if set(names) <= set(found):
-        return {name: name for name in names}, None
+        return {name: name for name in names}, []
     ours, theirs = [_number(name) for name in names], [_number(name) for name in found]
     unique = len(set(ours)) == len(ours) and len(set(theirs)) == len(theirs)
     if unique and None not in ours and set(ours) <= set(theirs):
         chosen = {name: found[theirs.index(number)] for name, number in zip(names, ours, strict=True)}
-        return chosen, GivenNote("given cameras, matched by number", _pairs(chosen))
+        return chosen, noted([f"matched by number: {_pairs(chosen)}"], CALIBRATION)
     # where some agree, one is missing, not renamed
     if len(names) == len(found) and not set(names) & set(found):
         chosen = dict(zip(names, sorted(found, key=natural_key), strict=True))
-        remedy = f"Names do not tell which camera is which; name capture.cameras as the calibration does ({where})."
-        return chosen, GivenNote(
-            "given cameras, matched by order", _pairs(chosen), remedy if len(names) > 1 else ""
-        )
+        found_as = "warn" if len(names) > 1 else "ok"
+        text = f"matched by order: {_pairs(chosen)}"
+        return chosen, [Measure("given-assumed", text, "cameras", "order", {"where": where}, found_as)]
     missing = [name for name in names if name not in found]
     wrong = f"{where}: has no camera {', '.join(missing)}; it has {', '.join(found) or 'none'}"
     remedy = f"the capture has {', '.join(names)}; name capture.cameras as the calibration does"
@@ -170,11 +161,8 @@ def _pairs(chosen: Mapping[str, str]) -> str:
     return ", ".join(f"{ours}: {theirs}" for ours, theirs in chosen.items())
 
 
-def _fitted(
-    name: str, camera: FoundCamera, size: tuple[int, int], where: str
-) -> tuple[FoundCamera, GivenNote | None]:
-    """A camera at the size of its clip."""
-    check = f"given calibration of {name}"
+def _fitted(name: str, camera: FoundCamera, size: tuple[int, int], where: str) -> tuple[FoundCamera, str]:
+    """A camera at the size of its clip, and what was assumed for it."""
     if camera.size is None:
         off = np.abs(camera.K[:2, 2] / size - 0.5)
         if off.max() > CENTRE_SHARE:
@@ -183,10 +171,10 @@ def _fitted(
             remedy = "expected it near the middle; calibrate at the size of the clip"
             raise InputError("principal-point-outside", f"{wrong}; {remedy}")
         text = f"the file has no picture size; taken as the clip's, {size[0]}x{size[1]}"
-        return replace(camera, size=size), GivenNote(check, text)
+        return replace(camera, size=size), text
     (width, height), (clip_width, clip_height) = camera.size, size
     if camera.size == size:
-        return camera, None
+        return camera, ""
     if width * clip_height != height * clip_width:
         wrong = f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
         expected = "expected the same size, or all of the picture made larger or smaller"
@@ -194,7 +182,7 @@ def _fitted(
         raise InputError("picture-size-wrong", why)
     scale = clip_width / width
     text = f"calibrated at {width}x{height}, scaled by {scale:g} to the clip's {clip_width}x{clip_height}"
-    return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), GivenNote(check, text)
+    return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), text
 
 
 def _scale(
@@ -203,32 +191,30 @@ def _scale(
     names: list[str],
     unit: str | None,
     known_distance_m: float | None,
-) -> tuple[Scale, GivenNote | None]:
+) -> tuple[Scale, list[Measure]]:
     """Metres a unit of the file (as `factor`), and what was assumed about it."""
     centres = {name: -c.cam_from_world[:, :3].T @ c.cam_from_world[:, 3] for name, c in cameras.items()}  # type: ignore
     apart = max((float(np.linalg.norm(a - b)) for a, b in combinations(centres.values(), 2)), default=0.0)
     if unit is not None:
-        return Scale(True, f"given calibration ({found.format}, {unit})", METRES[unit], None), None
+        return Scale(True, f"given calibration ({found.format}, {unit})", METRES[unit], None), []
     if found.unit in METRES:
         scale = Scale(True, f"given calibration ({found.format}, {found.unit})", METRES[found.unit], None)
         if apart * scale.factor <= LARGEST_RIG_M:
-            return scale, None
+            return scale, []
         text = f"{found.unit}, by the rule of the format: the cameras are up to {apart * scale.factor:.4g} m apart"
-        remedy = "If the board was described in other units, set calibration.rig.given_unit to m, cm or mm."
-        return scale, GivenNote("unit of the given calibration", text, remedy)
+        return scale, [Measure("given-assumed", text, "unit", "rule")]
     if known_distance_m is not None and len(names) > 1:
         first, second = names[:2]
         distance = float(np.linalg.norm(centres[first] - centres[second]))
         if distance > 0:
             source = f"known distance from {first} to {second}"
-            return Scale(True, source, known_distance_m / distance, None), None
+            return Scale(True, source, known_distance_m / distance, None), []
     if found.unit == "arbitrary" or apart == 0:
-        return ARBITRARY, None
+        return ARBITRARY, []
     guess = "mm" if apart > LARGEST_RIG_M else "m"
-    remedy = f"{found.format} does not say its unit: set calibration.rig.given_unit to m, cm or mm."
     text = f"taken as {guess}: the cameras are up to {apart * METRES[guess]:.3g} m apart"
     scale = Scale(True, f"given calibration ({found.format}, taken as {guess})", METRES[guess], None)
-    return scale, GivenNote("unit of the given calibration", text, remedy)
+    return scale, [Measure("given-assumed", text, "unit", "unit", {"format": found.format})]
 
 
 def _check_plausible(name: str, camera: FoundCamera, size: tuple[int, int], where: str) -> None:

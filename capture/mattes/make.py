@@ -5,18 +5,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.cores import usable_cores
-from devrf.capture.mattes.chroma import chroma_matte, find_key, is_screen_hue, key_share
+from devrf.capture.mattes.chroma import chroma_matte, find_key, is_screen_hue
 from devrf.capture.mattes.given import find_mattes, is_inverted, read_given
 from devrf.capture.mattes.measure import MatteFacts, measure
 from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.progress import Progress, no_progress
-
-SPILL_PX = 3, 9  # behind the edge, where a good matte is opaque: light of the screen on the subject lies here
 
 Source = Callable[[int, UInt8[np.ndarray, "h w c"]], UInt8[np.ndarray, "h w"]]
 
@@ -48,7 +45,6 @@ class CameraMattes:
         inverted: Whether given mattes were found to show the subject black.
         key_rgb: The screen's colour, 0 to 255.
         doubtful_key: Whether that colour was found, not named, and is neither a green nor a blue screen's.
-        spill: Share of the screen's colour within the subject's edge; None without a screen.
     """
 
     files: tuple[Path, ...]
@@ -56,7 +52,6 @@ class CameraMattes:
     inverted: bool = False
     key_rgb: tuple[float, float, float] | None = None
     doubtful_key: bool = False
-    spill: float | None = None
 
 
 def given_mattes(
@@ -78,23 +73,14 @@ def chroma_mattes(
 ) -> CameraMattes:
     """Mattes by a screen's colour, RGB in 0 to 255; None finds it."""
     key = find_key(clip.camera, clip.files) if colour is None else colour
-    spills: list[float] = []
 
     def source(n: int, picture: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w"]:
-        matte = chroma_matte(picture, key)
-        near, far = (
-            cv2.erode((matte > 127).astype(np.uint8), np.ones((2 * r + 1,) * 2, np.uint8)) for r in SPILL_PX
-        )
-        band = (near > 0) & (far == 0)
-        if band.any():
-            spills.append(float(np.clip(key_share(picture, key)[band], 0, 1).mean()))
-        return matte
+        return chroma_matte(picture, key)
 
     files, facts = _write(clip, source, out, progress)
     red, green, blue = (float(value) for value in key)
-    spill = float(np.median(spills)) if spills else None
     doubtful = colour is None and not is_screen_hue(key)
-    return CameraMattes(files, facts, key_rgb=(red, green, blue), doubtful_key=doubtful, spill=spill)
+    return CameraMattes(files, facts, key_rgb=(red, green, blue), doubtful_key=doubtful)
 
 
 def _write(
@@ -108,7 +94,7 @@ def _write(
         picture = read_pixels(clip.files[n])
         matte, path = source(n, picture), folder / f"{clip.files[n].stem}.png"
         write_png(path, matte)
-        return path, measure(picture, matte, clip.small_sizes[n])
+        return path, measure(matte, clip.small_sizes[n])
 
     made = []
     with ThreadPoolExecutor(usable_cores()) as pool:

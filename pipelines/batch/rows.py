@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from devrf.capture.durable import read_json
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
-from devrf.pipelines.health.rows import worst
+from devrf.pipelines.health.judge import worst
 from devrf.pipelines.runner.plan import read_health
 from devrf.pipelines.stamps.stamp import read_stamp
 

@@ -7,10 +7,11 @@ import numpy as np
 
 from devrf.calibration.field.matching import Features, features
 from devrf.calibration.field.overlap import ENOUGH, overlap_of, shared_features
-from devrf.calibration.field.steady import STANDS, Steadiness, steadiness
+from devrf.calibration.field.steady import steadiness
 from devrf.capture.audio import Sound
 from devrf.capture.frames import CameraFrames, FrameRecord, Role, grey_small, sharpness, timing
 from devrf.capture.ingest import MAX_SWEEP_FRAMES
+from devrf.capture.measure import Measure
 from devrf.capture.photo_folders import list_pictures, unread_faults
 from devrf.capture.pictures import read_picture
 from devrf.capture.progress import Progress
@@ -19,18 +20,14 @@ from devrf.capture.recordings import chapter_faults
 from devrf.capture.rest import Rest
 from devrf.capture.sampled import read_runs
 from devrf.capture.slow_motion import length_faults
-from devrf.capture.stillness import AT_REST, moving_mask, moving_share, smooth_grey
+from devrf.capture.stillness import moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.capture.timestamps import FrameTimes, table_factor, table_faults
-from devrf.pipelines.health.rows import HealthRow, listed, note, row
 
 SWEEP_PICTURES = 40  # whose neighbours are compared
 SHARP_OF = 3  # successive pictures, of which the sharpest counts, as ingest takes the sharpest of a window
 LISTED = 4  # places named in a message
-LINKED_WARN, LINKED_FAIL = 0.95, 0.5
-DEPTH_WARN, DEPTH_FAIL = 0.1, 0.04  # real sweeps: 0.24 to 0.58; pictures of a camera that only turned: 0.02
-SUBJECT_WARN = 0.002  # of the picture in which something moves: 0.002 are 25 x 25 of 640 x 480 pixels
-SHARED_WARN, SHARED_FAIL = 100.0, 12.0  # features; stage rig finds about as many points, and refuses below 30
+FEWEST_SHARED = 12.0  # features of one picture; stage rig finds more points, and refuses below 30
 
 
 @dataclass(frozen=True)
@@ -40,12 +37,12 @@ class SweepSeen:
     Attributes:
         frames: What ingest will make of it.
         features: Of the pictures that are compared, in order.
-        rows: What is said of them.
+        measures: What is said of them.
     """
 
     frames: CameraFrames
     features: list[Features]
-    rows: list[HealthRow]
+    measures: list[Measure]
 
 
 def planned_frames(
@@ -112,46 +109,30 @@ def see_sweep(look: Look, progress: Progress) -> SweepSeen:
             frames, frames=tuple(replace(f, sharpness=s) for f, s in zip(frames.frames, of_all, strict=True))
         )
     if look.black:
-        return SweepSeen(frames, found, [_black("the sweep")])
+        return SweepSeen(frames, found, [_black("sweep-blurred", "the sweep")])
     where = [f"{look.times_s[i]:.1f} s" if look.is_clip else f"photo {i + 1}" for i in kept]
     overlap = overlap_of(found, between)
     breaks = [f"{where[n]} to {where[n + 1]}" for n in overlap.breaks[:LISTED]]
-    rows = [
-        _walks(steadiness(look.greys)),
-        row(
-            "neighbouring pictures of the sweep that overlap",
-            overlap.linked,
-            warn=LINKED_WARN,
-            fail=LINKED_FAIL,
-            remedy=f"Fewer than {ENOUGH} matches from {', '.join(breaks)}: walk there again, slowly, looking at the "
-            "same things; blank walls need something textured (posters, newspapers, rugs).",
-        ),
-        row(
-            "matches of the sweep that show depth",
-            overlap.depth_share,
-            warn=DEPTH_WARN,
-            fail=DEPTH_FAIL,
-            remedy="The camera turned but did not move, or it only sees something flat: walk sideways around the "
-            "scene, and let things at different distances be in view.",
-        ),
-    ]
-    return SweepSeen(frames, found, rows)
+    facts = {"enough": ENOUGH, "breaks": ", ".join(breaks)}
+    measures = [Measure("sweep-overlap", overlap.linked, facts=facts)]
+    if steadiness(look.greys).stands:
+        measures.append(Measure("sweep-depth", "its background stands still", why="stands", found="fail"))
+    measures.append(Measure("sweep-depth", overlap.depth_share))
+    return SweepSeen(frames, found, measures)
 
 
-@listed
-def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) -> Iterator[HealthRow]:
+def camera_measures(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) -> Iterator[Measure]:
     """Look at a fixed camera's clip, and for its view in the sweep; `sweep` is empty without one."""
     if look.black:
-        yield _black(name)
+        yield _black("subject-small", name)
         return
     steady = steadiness(look.greys)
-    yield _stands(name, steady)
-    yield row(
-        f"share of {name}'s picture in which something moves",
-        float(moving_mask([smooth_grey(picture) for picture in look.pictures]).mean()),
-        warn=SUBJECT_WARN,
-        remedy=f"{name} does not see the subject: point it there, go nearer.",
-    )
+    if steady.stands is not None:
+        lost = np.isnan(steady.moved)
+        moved = "its background is never found again" if lost else 100 * steady.moved
+        yield Measure("camera-moves", moved, name, found="fail")
+    moves = moving_mask([smooth_grey(picture) for picture in look.pictures])
+    yield Measure("subject-small", float(moves.mean()), name)
     at_rest = list(look.pictures[:1])
     if rest in ("auto", "start", "end"):
         ends = {end: pictures_at(look, end) for end in ENDS if rest in ("auto", end)}
@@ -160,21 +141,11 @@ def camera_rows(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) ->
         end = min(known or ends, key=lambda end: known.get(end, 0.0))
         at_rest = ends[end]
         if sweep and steady.stands is not False:
-            yield row(
-                f"share of {name}'s picture that moves at the {end}",
-                moving[end],
-                warn_above=AT_REST,
-                remedy=f"The scene is not at rest at the {end} of {name}'s clip: start the cameras before the "
-                "action, or set capture.rest to when it is.",
-            )
+            share = moving[end]
+            yield Measure("rest-unseen", None if share is None else 100 * share, name, facts={"end": end})
     if sweep:
-        yield row(
-            f"features that {name} shares with the sweep",
-            float(shared_features(features((at_rest or look.pictures)[0]), sweep)),
-            warn=SHARED_WARN,
-            fail=SHARED_FAIL,
-            remedy=f"Film sweep pictures from near {name}, looking the same way; match exposure and colour.",
-        )
+        shared = shared_features(features((at_rest or look.pictures)[0]), sweep)
+        yield Measure("camera-points", float(shared), name, fail=FEWEST_SHARED)
 
 
 def _sweep_pictures(look: Look) -> np.ndarray:
@@ -199,25 +170,5 @@ def _sharpness(picture: Picture) -> float:
     return sharpness(grey_small(picture))
 
 
-def _black(name: str) -> HealthRow:
-    remedy = "Nothing was filmed: take the lens cap off, make light."
-    return note(f"picture of {name}", "black", verdict="fail", remedy=remedy)
-
-
-def _walks(steady: Steadiness) -> HealthRow:
-    check = "movement of the sweep's camera"
-    if steady.stands:
-        remedy = "Walk around the scene with the camera; pictures from one place show no depth."
-        return note(check, "its background stands still", verdict="fail", remedy=remedy)
-    return note(check, "too little texture to tell" if steady.stands is None else "moves")
-
-
-def _stands(name: str, steady: Steadiness) -> HealthRow:
-    check = f"movement of {name} while it filmed"
-    remedy = f"{name} moves: put it on a tripod, switch stabilisation off, film again."
-    if steady.stands is None:
-        return note(check, "too little texture to tell")
-    if np.isnan(steady.moved):
-        return note(check, "its background is never found again", verdict="fail", remedy=remedy)
-    moved = 100 * steady.moved
-    return row(check, moved, "% of the width", warn_above=0.3, fail_above=100 * STANDS, remedy=remedy)
+def _black(code: str, name: str) -> Measure:
+    return Measure(code, "its picture is black", name, "black", found="fail")

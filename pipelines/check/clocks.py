@@ -7,19 +7,19 @@ from devrf.capture.audio import Sound
 from devrf.capture.courses import read_courses
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames
+from devrf.capture.measure import Measure
 from devrf.capture.session import CaptureSession
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.clock import REFUSED_BELOW, REMEDY
-from devrf.pipelines.health.rows import HealthRow, note
+from devrf.pipelines.health.clock import REFUSED_BELOW
 from devrf.pipelines.stages import sync
 
 COURSE_S = 20.0  # of each clip; more would cost minutes at 4K
 
 
-def clock_rows(
+def clock_measures(
     config: SceneConfig, session: CaptureSession, moving: dict[str, CameraFrames], sounds: dict[str, Sound]
-) -> list[HealthRow]:
-    """The rows of stage `sync`."""
+) -> list[Measure]:
+    """What stage `sync` measures."""
     if len(moving) < 2:
         return []
     settings, table = config.calibration.sync, session.timestamps is not None
@@ -43,5 +43,6 @@ def clock_rows(
         if unknown and len(sounds) > 1 and settings.method in ("auto", "motion", "flash"):
             result = solve(COURSE_S)
     except CalibrationError as error:
-        return [note("clocks", str(error), verdict="fail", remedy=REMEDY)]
-    return sync.health(moving, result)
+        facts = {"reason": "no cue tells it", "hope": ""}
+        return [Measure("clock-unknown", str(error), "all cameras", facts=facts, found="fail")]
+    return sync.measures(moving, result)

@@ -13,6 +13,7 @@ from devrf.capture.amounts import GB, size_text
 from devrf.capture.audio import Sound, read_sound
 from devrf.capture.errors import DevrfError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
+from devrf.capture.measure import Measure, Verdict, noted
 from devrf.capture.progress import Progress, part
 from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, find_material, look_at
@@ -21,16 +22,16 @@ from devrf.pipelines.board_spec import board_spec
 from devrf.pipelines.budget.disk import room_of
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.capture_session import capture_session
-from devrf.pipelines.check.boards import board_rows
-from devrf.pipelines.check.clips import camera_rows, planned_frames, see_sweep
-from devrf.pipelines.check.clocks import clock_rows
+from devrf.pipelines.check.boards import board_measures
+from devrf.pipelines.check.clips import camera_measures, planned_frames, see_sweep
+from devrf.pipelines.check.clocks import clock_measures
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk, describe, duration
-from devrf.pipelines.health.rig import scale_rows
-from devrf.pipelines.health.rows import HealthRow, Verdict, note, row, worst
+from devrf.pipelines.health.judge import HealthRow, judge, worst
+from devrf.pipelines.health.rig import scale_measures
 from devrf.pipelines.stages import ingest
 
-Sections = dict[str, list[HealthRow]]  # what is looked at -> its rows
+Sections = dict[str, list[Measure]]  # what is looked at -> what was measured of it
 RESOURCES, FILES = "disk and memory", "files"
 CLIP_PICTURES = 12  # of each, that tell size, brightness and whether the camera stands
 IN_JSON = ('"go": ', '"seconds": ', '"rows": ')  # what tells its file from others
@@ -48,15 +49,16 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
     """
     begin = time.monotonic()
     if config.kind == "dataset":
-        sections = {FILES: [note("data set", "can be read; there are no raw files to look at")]}
-        sections[RESOURCES] = _resources(config, run_dir)
+        said = ["can be read; there are no raw files to look at"]
+        sections: Sections = {FILES: noted(said, "data set"), RESOURCES: _resources(config, run_dir)}
     else:
         with talk.progress("checking") as progress:
             sections = look_at_capture(config, scene_dir, run_dir, progress)
+    judged: dict[str, list[HealthRow]] = {title: judge(measures) for title, measures in sections.items()}
     seconds = time.monotonic() - begin
-    verdicts = [row.verdict for rows in sections.values() for row in rows]
+    verdicts = [row.verdict for rows in judged.values() for row in rows]
     go = "fail" not in verdicts
-    for title, rows in sections.items():
+    for title, rows in judged.items():
         verdict = worst(row.verdict for row in rows) or "ok"
         if talk.loudness == "quiet":  # what is wrong, for those who asked for errors alone
             for row in (row for row in rows if row.verdict == "fail"):
@@ -73,7 +75,11 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
         f"{word} ({duration(seconds)} for a few pictures of each clip; `run` looks at all)", style="bold"
     )
     if json_file is not None:
-        found = [{"about": title, **row.as_dict()} for title, rows in sections.items() for row in rows]
+        found = [
+            {**row.as_dict(), "about": title, "of": row.about}
+            for title, rows in judged.items()
+            for row in rows
+        ]
         content = {"go": go, "seconds": round(seconds, 1), "rows": found}
         json_file.parent.mkdir(parents=True, exist_ok=True)
         json_file.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -81,7 +87,7 @@ def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_
 
 
 def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progress: Progress) -> Sections:
-    """All rows of a scene made of raw files."""
+    """All that is measured of a scene made of raw files."""
     session = capture_session(config, scene_dir)
     sections: Sections = {}
     looks: dict[str, Look] = {}
@@ -90,7 +96,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         looks[SWEEP] = look_at(session.static, CLIP_PICTURES)
         seen = see_sweep(looks[SWEEP], part(progress, 0.0, 0.5))
         sweep = seen.features
-        sections["sweep"] = [*ingest.health(FrameSet({SWEEP: seen.frames})), *seen.rows]
+        sections["sweep"] = [*ingest.ingested(FrameSet({SWEEP: seen.frames})), *seen.measures]
     sounds = {name: sound for name, path in session.cameras.items() if (sound := _sound(path)) is not None}
     table = {} if session.timestamps is None else read_timestamps(session.timestamps, session.cameras)
     moving: dict[str, CameraFrames] = {}
@@ -99,49 +105,42 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         looks[name] = look_at(path, CLIP_PICTURES)
         role = "test" if name in session.test_names else "camera"
         moving[name] = planned_frames(looks[name], role, path.name, sounds.get(name), table.get(name))
-        sections[f"camera {name}"] = camera_rows(name, looks[name], session.rest, sweep)
+        sections[f"camera {name}"] = list(camera_measures(name, looks[name], session.rest, sweep))
     if moving:
-        sections["all cameras"] = ingest.health(FrameSet(moving))
+        sections["all cameras"] = list(ingest.ingested(FrameSet(moving)))
         progress(0.75, "clocks")
-        sections["clocks"] = clock_rows(config, session, moving, sounds)
+        sections["clocks"] = clock_measures(config, session, moving, sounds)
     spec = board_spec(config)
     if spec is not None:
-        sections["board"] = board_rows(session, spec, part(progress, 0.8, 0.15))
+        sections["board"] = board_measures(session, spec, part(progress, 0.8, 0.15))
     sections["scale"] = _scale(config)
     sections[FILES] = left_out(session, scene_dir)
     sections[RESOURCES] = _resources(config, run_dir)
-    return {title: rows for title, rows in sections.items() if rows}
+    return {title: measures for title, measures in sections.items() if measures}
 
 
-def _scale(config: SceneConfig) -> list[HealthRow]:
+def _scale(config: SceneConfig) -> list[Measure]:
     """A warning where nothing that was told gives metres, while the crew still has a ruler at the scene."""
     board, rig = config.capture and config.capture.board, config.calibration.rig
     if (board and board.metric) or rig.known_distance_m is not None or rig.given is not None:
         return []
-    return scale_rows([], ARBITRARY, unmeasured_board=board is not None)
+    return list(scale_measures([], ARBITRARY, unmeasured_board=board is not None))
 
 
-def left_out(session: CaptureSession, scene_dir: Path) -> list[HealthRow]:
+def left_out(session: CaptureSession, scene_dir: Path) -> list[Measure]:
     """Clips beside scene.yaml that it does not name: a camera that was forgotten, or one that `init` could not use."""
     used = {file.resolve() for file in session.files()}
     clips = [clip for clip in find_material(scene_dir).clips if clip.resolve() not in used]
     names = ", ".join(str(clip.relative_to(scene_dir)) for clip in clips)
-    return [note("clips in this folder that scene.yaml does not use", names)] if clips else []
+    return noted([f"clips in this folder that scene.yaml does not use: {names}"] if clips else [], FILES)
 
 
-def _resources(config: SceneConfig, run_dir: Path) -> list[HealthRow]:
+def _resources(config: SceneConfig, run_dir: Path) -> list[Measure]:
     """What a run may use. How much it will need is not known before."""
     room = room_of(config, run_dir)
-    return [
-        row(
-            "room for the run folder",
-            room.count / GB,
-            f"GB, because {room.bound}",
-            fail=0.0,
-            remedy=f"{room.remedy[0].upper()}{room.remedy[1:]}.",
-        ),
-        note("main memory that a run may use", size_text(allowed_bytes(config))),
-    ]
+    facts = {"bound": room.bound, "mend": f"{room.remedy[0].upper()}{room.remedy[1:]}"}
+    memory = f"a run may use {size_text(allowed_bytes(config))} of main memory"
+    return [Measure("disk-room", room.count / GB, facts=facts), *noted([memory], "memory")]
 
 
 def _number(count: int, what: str) -> str:

@@ -12,7 +12,7 @@ SEED = "reconstruct.seed"
 
 
 @dataclass(frozen=True)
-class Measure:
+class Metric:
     """One measure of evaluate/metrics.json.
 
     Attributes:
@@ -34,27 +34,27 @@ class Measure:
 
 
 MEASURES = (
-    Measure("test_moving.psnr", "PSNR where it moves", "dB", 2, "moving.psnr"),
-    Measure("test_moving.ssim", "SSIM where it moves", "", 4, "moving.ssim"),
-    Measure(
+    Metric("test_moving.psnr", "PSNR where it moves", "dB", 2, "moving.psnr"),
+    Metric("test_moving.ssim", "SSIM where it moves", "", 4, "moving.ssim"),
+    Metric(
         "test_moving_retimed.psnr",
         "PSNR where it moves, with the test clock that was found",
         "dB",
         2,
         "retimed.psnr",
     ),
-    Measure("test.psnr", "PSNR, test views", "dB", 2, "psnr"),
-    Measure("test.ssim", "SSIM, test views", "", 4, "ssim"),
-    Measure("test.lpips_vgg", "LPIPS (VGG), test views", "", 4, "lpips_vgg", low_is_good=True),
-    Measure("test.lpips_alex", "LPIPS (Alex), test views", "", 4, "lpips_alex", low_is_good=True),
-    Measure("test_rest.psnr", "PSNR, what stands, test cameras", "dB", 2),
-    Measure("test_static.psnr", "PSNR, held-out sweep", "dB", 2, "psnr", of_moving=False),
-    Measure("test_static.ssim", "SSIM, held-out sweep", "", 4, "ssim", of_moving=False),
-    Measure("train.total_s", "training", "s", 0, low_is_good=True),
-    Measure("train.peak_rss_gb", "peak main memory, training", "GB", 2, low_is_good=True),
-    Measure("train.peak_gpu_gb", "peak GPU memory, training", "GB", 2, low_is_good=True),
-    Measure("model_mb", "model", "MB", 1, low_is_good=True),
-    Measure("render_fps", "pictures per second", "fps", 2),
+    Metric("test.psnr", "PSNR, test views", "dB", 2, "psnr"),
+    Metric("test.ssim", "SSIM, test views", "", 4, "ssim"),
+    Metric("test.lpips_vgg", "LPIPS (VGG), test views", "", 4, "lpips_vgg", low_is_good=True),
+    Metric("test.lpips_alex", "LPIPS (Alex), test views", "", 4, "lpips_alex", low_is_good=True),
+    Metric("test_rest.psnr", "PSNR, what stands, test cameras", "dB", 2),
+    Metric("test_static.psnr", "PSNR, held-out sweep", "dB", 2, "psnr", of_moving=False),
+    Metric("test_static.ssim", "SSIM, held-out sweep", "", 4, "ssim", of_moving=False),
+    Metric("train.total_s", "training", "s", 0, low_is_good=True),
+    Metric("train.peak_rss_gb", "peak main memory, training", "GB", 2, low_is_good=True),
+    Metric("train.peak_gpu_gb", "peak GPU memory, training", "GB", 2, low_is_good=True),
+    Metric("model_mb", "model", "MB", 1, low_is_good=True),
+    Metric("render_fps", "pictures per second", "fps", 2),
 )
 
 
@@ -69,7 +69,7 @@ class Difference:
         gain: The mean difference and its interval; of what is no mean over pairs only the difference.
     """
 
-    measure: Measure
+    measure: Metric
     runs: tuple[str, ...]
     against: tuple[str, ...]
     pairs: tuple[Any, ...]
@@ -89,7 +89,7 @@ class Difference:
         ]
 
 
-def value_of(run: ComparedRun, measure: Measure) -> float | None:
+def value_of(run: ComparedRun, measure: Metric) -> float | None:
     """A measure of a run; None where it was not measured."""
     value = at(run.metrics, measure.key)
     return float(value) if is_number(value) else None

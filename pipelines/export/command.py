@@ -90,7 +90,7 @@ def _unhealthy(run_dir: Path, last: str) -> list[str]:
     names = [each.name for each in STAGES]
     rows = [(n, row) for n in names[: names.index(last) + 1] for row in read_health(run_dir / n)]
     return [
-        f"the run is not healthy: {name}: {row.check}; {row.remedy}"
+        f"the run is not healthy: {name}: {row.title}; {row.remedy}"
         for name, row in rows
         if row.verdict == "fail"
     ]

@@ -154,7 +154,7 @@ def _state(job: Run) -> list[str]:
     """What is to be known of the run: unfinished, stale or unhealthy."""
     lines = []
     for stage in STAGES:
-        failed = [row.check for row in read_health(job.run_dir / stage.name) if row.verdict == "fail"]
+        failed = [row.title for row in read_health(job.run_dir / stage.name) if row.verdict == "fail"]
         if failed:
             lines.append(f"{stage.name} is unhealthy: {'; '.join(failed)}")
         if stage.name in READS and not (job.run_dir / stage.name).is_dir():

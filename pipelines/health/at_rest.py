@@ -1,10 +1,10 @@
-"""Health rows about the scene at rest as the fixed cameras see it: asked before motion is learned from them."""
+"""The scene at rest as the fixed cameras see it: asked before motion is learned from them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from math import inf, isinf
 from statistics import median
 
-from devrf.pipelines.health.rows import HealthRow, note, row
+from devrf.capture.measure import Measure, lowest
 from devrf.reconstruct.check_rest import PlateFit, RestCheck, RestFit
 
 # A picture may lie so far beside the model: two cameras then disagree by a voxel, which reads as motion.
@@ -18,95 +18,57 @@ MOSTLY = 0.5  # of the error, for its one reason
 # Of the error, that a shift or another moment takes away. Of plates half a decibel, of the little that the sweep alone
 # has taught one: in six captures at most 0.06; 0.18 and 0.06. A camera turned by 0.8 degrees: 0.00; 0.83.
 MOST_OF_PLATE, MOST_OF_REST = 0.11, 0.2
-SHIFTED = (
-    "A small shift takes away that much of what {} differs by: its pose or focal length is off; film the board with "
-    "this zoom (capture.board.clips), and leave tripod and zoom as they are."
-)
-AT_OTHER_TIME = (
-    "A few frames before or after, {} shows the scene at rest that much better: its clock is off, or capture.rest "
-    "names another moment; clap, and let the clips begin with the scene at rest."
-)
 
 
-def at_rest_rows(found: RestCheck) -> list[HealthRow]:
-    """Rows about the worst camera's picture at rest, a row for every fixed camera that has a clean plate, and one on
-    what poses and clocks have to do with it; none where nothing can be told.
+def at_rest_measures(found: RestCheck) -> list[Measure]:
+    """The worst camera's picture at rest, every clean plate that is wrong, and what poses and clocks have to do with
+    it; none where nothing can be told.
     """
     return [*_beside(found.cameras, found.sweep), *_unlike(found.cameras, found.sweep), *_plates(found)]
 
 
-def _beside(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> list[HealthRow]:
+def _beside(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> Iterator[Measure]:
     of_sweep = _usual(sweep)
-    if isinf(of_sweep):  # the sweep's own pictures are not found again: nothing can be told by that
-        return []
     found = {
         name: (fit.displaced.length, max(MOST_VOXELS * fit.voxel, of_sweep) + SURE * fit.displaced.std)
         for name, fit in cameras.items()
         if fit.displaced is not None
     }
-    if not found:
-        return []
-    name = max(found, key=lambda n: found[n][0] / found[n][1])
-    length, most = found[name]
-    return [
-        row(
-            f"picture beside the scene at rest, worst camera ({name})",
-            100 * length,
-            "% of its width",
-            warn_above=100 * most,
-            remedy=f"{name} does not stand where the rig says, or has another focal length: leave tripod and zoom as "
-            "they are between board, sweep and clip, film the board with this zoom (capture.board.clips), and let the "
-            "sweep show what this camera sees.",
-        )
-    ]
+    if found and not isinf(
+        of_sweep
+    ):  # else the sweep's own pictures are not found again: nothing can be told by that
+        name = max(found, key=lambda n: found[n][0] / found[n][1])
+        length, most = found[name]
+        yield Measure("rest-beside", 100 * length, name, warn=100 * most)
 
 
-def _unlike(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> list[HealthRow]:
+def _unlike(cameras: Mapping[str, RestFit], sweep: Sequence[RestFit]) -> Iterator[Measure]:
     right = [fit.psnr for fit in sweep if fit.psnr is not None]
     found = {name: fit.psnr for name, fit in cameras.items() if fit.psnr is not None}
-    if len(right) < 2 or not found:
-        return []
-    name = min(found, key=lambda n: found[n])
-    return [
-        row(
-            f"PSNR of the scene at rest, worst camera ({name})",
-            found[name],
-            "dB",
-            warn=min(min(right), median(right) - WORSE_DB),
-            remedy=f"{name} does not show what the sweep shows: let its clip begin with the scene as in the sweep "
-            "(capture.rest), with the same light, exposure and white balance, keep people and shadows out, and check "
-            "its pose in the report.",
-        )
-    ]
+    if len(right) > 1 and found:
+        yield lowest("rest-unlike", found, warn=min(min(right), median(right) - WORSE_DB))
 
 
-def _plates(found: RestCheck) -> Iterator[HealthRow]:
+def _plates(found: RestCheck) -> Iterator[Measure]:
     least = median(found.sweep_psnr) - WORSE_DB if len(found.sweep_psnr) > 1 else -inf
     for name, plate in found.plates.items():
-        yield note(
-            f"clean plate against the scene at rest ({name})",
-            _told(plate),
-            remedy=_what_is_wrong(name, plate, least, _usual(found.sweep)),
-        )
+        why = _what_is_wrong(plate, least, _usual(found.sweep))
+        if why:
+            facts = {"across": 100 * plate.odd_at[0], "down": 100 * plate.odd_at[1]} if why == "odd" else {}
+            yield Measure("rest-plate", _told(plate), name, why, facts)
     shares = [
-        (share, most, name, remedy)
+        (share, most, name, why)
         for name, plate in found.plates.items()
         if plate.psnr is not None
-        for share, most, remedy in (
-            (plate.by_place, MOST_OF_PLATE, SHIFTED),
-            (plate.rest_by_place, MOST_OF_REST, SHIFTED),
-            (plate.rest_by_time, MOST_OF_REST, AT_OTHER_TIME),
+        for share, most, why in (
+            (plate.by_place, MOST_OF_PLATE, "place"),
+            (plate.rest_by_place, MOST_OF_REST, "place"),
+            (plate.rest_by_time, MOST_OF_REST, "time"),
         )
     ]
     if shares:
-        share, most, name, remedy = max(shares, key=lambda s: s[0] / s[1])
-        yield row(
-            f"error at rest that poses and clocks explain, worst camera ({name})",
-            100 * share,
-            "%",
-            warn_above=100 * most,
-            remedy=remedy.format(name),
-        )
+        share, most, name, why = max(shares, key=lambda s: s[0] / s[1])
+        yield Measure("rest-explained", 100 * share, name, why, warn=100 * most)
 
 
 def _told(plate: PlateFit) -> str:
@@ -119,43 +81,21 @@ def _told(plate: PlateFit) -> str:
     return f"{plate.psnr:.1f} dB, {beside}"
 
 
-def _what_is_wrong(name: str, plate: PlateFit, least: float, of_sweep: float) -> str:
-    """The remedy for the first of a plate's faults; empty where there is none."""
+def _what_is_wrong(plate: PlateFit, least: float, of_sweep: float) -> str:
+    """The first of a plate's faults; empty where there is none."""
     if plate.psnr is None or plate.known < LEAST_STANDING:
-        return (
-            f"{name} never shows anything at rest: something changes everywhere in its picture. Set it on a tripod, "
-            "lock exposure and focus, and let it see what stands beside the subject: its pose cannot be checked."
-        )
+        return "none"
     if plate.textured < LEAST_TEXTURED:
-        return (
-            f"{name} shows next to nothing but a plain surface where nothing moves: neither its pose nor its picture "
-            "can be checked. Turn it so that things with a pattern are in its picture, or hang something up."
-        )
+        return "plain"
     shift = plate.displaced
     most = max(MOST_VOXELS * plate.voxel, of_sweep)
     if shift is not None and shift.length > most + SURE * shift.std:
-        return (
-            f"{name} does not stand where the rig says, or has another focal length: leave tripod and zoom as they "
-            "are between board, sweep and clip, and film the board with this zoom (capture.board.clips)."
-        )
+        return "beside"
     if plate.psnr < least and plate.by_light > MOSTLY:
-        return (
-            f"{name} saw the scene in other light, or with another exposure or white balance, than the sweep: leave "
-            "lamps, curtains and settings as they are."
-        )
+        return "light"
     if plate.odd > MOST_ODD:
-        x, y = plate.odd_at
-        return (
-            f"{name} shows something {100 * x:.0f} % from the left and {100 * y:.0f} % from the top of its picture "
-            "that the sweep does not show: keep people out of what fixed cameras see, and let nothing be moved between "
-            "sweep and clips."
-        )
-    if plate.psnr < least:
-        return (
-            f"What {name} sees is not what was learned: let the sweep go where this camera looks, and check its pose "
-            "in the report."
-        )
-    return ""
+        return "odd"
+    return "unlike" if plate.psnr < least else ""
 
 
 def _usual(sweep: Sequence[RestFit]) -> float:

@@ -1,4 +1,4 @@
-"""Whether the scene box fits what was filmed, as rows."""
+"""Whether the scene box fits what was filmed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -8,99 +8,70 @@ from devrf.calibration.bounds import Bounds
 from devrf.calibration.box_checks import CutOff, cut_off, not_explained, not_swept, outside_box, seen_by_fewer
 from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.mattes.given import SWEEP
+from devrf.capture.measure import Measure
 from devrf.capture.scene import PosedFrame
-from devrf.pipelines.health.rows import HealthRow, listed, row
 from devrf.pipelines.scene_mattes import SceneMattes
 
 LEAVES = 0.05  # of the subject's pixels outside the box: it leaves the box in this picture
 MOST_LEAVING = 0.1  # of a camera's pictures
-MOST_UNEXPLAINED = 0.15  # of the pixels that ever change; in four captures at most 0.11
-MOST_CUT = 0.02  # of what moves in a camera, in one piece beyond the box; in six captures at most 0.00
-MOST_FAR = 3.0  # far over the distance of 95 % of the points
-MOST_SEEN_ONCE = 0.5  # of the box
-MOST_NOT_SWEPT = 0.2  # of the box; in six captures at most 0.003
+# Shares from which on the remedy says where; judged are they by the table.
+UNEXPLAINED, CUT = 0.15, 0.02
 
 
-@listed
-def box_health(
+def box_measures(
     bounds: Bounds,
     moves: Mapping[str, MotionMask],
     mattes: SceneMattes | None,
     dynamic: Sequence[PosedFrame],
     static: Sequence[PosedFrame] = (),
-) -> Iterator[HealthRow]:
-    """Rows about subject and box, stray far points, and what the moving cameras see.
+) -> Iterator[Measure]:
+    """Subject and box, and what the moving cameras see.
 
     Args:
         moves: What moves in each fixed camera; not asked where there are mattes.
     """
     box = bounds.box_from_world, bounds.aabb
     if mattes is not None:
-        leaving = {
-            name: np.concatenate(
-                [
-                    outside_box(fact.small[None], camera, *box)
-                    for fact, camera in zip(made.facts, mattes.small[name], strict=True)
-                ]
-            )
-            for name, made in mattes.cameras.items()
-        }
-        counts = {name: int((shares > LEAVES).sum()) for name, shares in leaving.items()}
-        name = max(counts, key=lambda n: counts[n] / len(leaving[n]))
-        called = "the sweep" if name == SWEEP else name
-        yield row(
-            f"pictures in which the subject leaves the box ({called})", float(counts[name]),
-            f"of {len(leaving[name])}", warn_above=float(int(MOST_LEAVING * len(leaving[name]))),
-            remedy=f"What lies outside the box is not modelled in motion: look at scene/mattes/{name}: other "
-            "things taken for the subject, or a part that only one camera sees; take them out, or move the cameras "
-            "so that two see all of it.",
-        )  # fmt: skip
+        yield from _leaving(mattes, box)
     elif moves:
         if "hull" in bounds.basis:
-            found = not_explained(list(moves.values()), *box)
-            left = {name: one for name, one in zip(moves, found, strict=True) if one is not None}
-            name = max(left, key=lambda n: left[n].share, default="none")
-            where = "; ".join(
-                f"{n}, {_place(one)}" for n, one in left.items() if one.share > MOST_UNEXPLAINED
-            )
-            yield row(
-                f"changing pixels that nothing in the box explains, worst camera ({name})",
-                100 * left[name].share if left else 0.0, "%", warn_above=100 * MOST_UNEXPLAINED,
-                remedy="What changes there no other camera shows in the box, and it is not modelled in motion: "
-                f"most of it is in {where}. Keep people and shadows out of the picture, or see that two cameras see "
-                "all that moves.",
-            )  # fmt: skip
-        cut = {name: found for name, m in moves.items() if (found := cut_off(m, *box)) is not None}
-        name = max(cut, key=lambda n: cut[n].share, default="none")
-        where = "; ".join(f"{n} sees it {_place(one)}" for n, one in cut.items() if one.share > MOST_CUT)
-        yield row(
-            f"something that moves and is cut off by the box, worst camera ({name})",
-            100 * cut[name].share if cut else 0.0, "% of what moves", warn_above=100 * MOST_CUT,
-            remedy=f"Something moves beyond the box and is not modelled in motion: {where}. Keep it still or out of "
-            "the pictures; if it belongs to the scene, turn the cameras so that most of them see all of it.",
-        )  # fmt: skip
-    if bounds.far_over_most is not None:
-        yield row(
-            "far plane over where 95 % of the sweep's points are", bounds.far_over_most, "times", warn_above=MOST_FAR,
-            remedy="A few stray points are far away (reflections, sky, a window): mask them in the sweep "
-            "(calibration.static_poses.masks).",
-        )  # fmt: skip
+            found = dict(zip(moves, not_explained(list(moves.values()), *box), strict=True))
+            yield _worst("box-unexplained", found, UNEXPLAINED, ", ")
+        yield _worst("box-cuts", {name: cut_off(m, *box) for name, m in moves.items()}, CUT, " sees it ")
     cameras = {f.camera_name: f.camera for f in dynamic if f.split == "train"}
     if len(cameras) > 1:
-        yield row(
-            "share of the box that fewer than two moving cameras see",
-            100 * seen_by_fewer(list(cameras.values()), *box, 2), "%", warn_above=100 * MOST_SEEN_ONCE,
-            remedy="Motion there is seen from one side only and cannot be told: turn the cameras towards the "
-            "subject so that each part is in two pictures.",
-        )  # fmt: skip
+        yield Measure("box-one-sided", 100 * seen_by_fewer(list(cameras.values()), *box, 2))
     if cameras and static:
-        yield row(
-            "share of the box that the sweep did not come near",
-            100 * not_swept([f.camera for f in static], list(cameras.values()), *box),
-            "%", warn_above=100 * MOST_NOT_SWEPT,
-            remedy="What moves there is unknown at rest, or too coarse: let the sweep go all around the subject, as "
-            "near as the fixed cameras stand, with the subject in the picture.",
-        )  # fmt: skip
+        far = not_swept([f.camera for f in static], list(cameras.values()), *box)
+        yield Measure("box-not-swept", 100 * far)
+
+
+def _leaving(mattes: SceneMattes, box: tuple[np.ndarray, np.ndarray]) -> Iterator[Measure]:
+    """The camera in most of whose pictures the subject leaves the box, where that are too many."""
+    leaving = {
+        name: np.concatenate(
+            [
+                outside_box(fact.small[None], camera, *box)
+                for fact, camera in zip(made.facts, mattes.small[name], strict=True)
+            ]
+        )
+        for name, made in mattes.cameras.items()
+    }
+    counts = {name: int((shares > LEAVES).sum()) for name, shares in leaving.items()}
+    name = max(counts, key=lambda n: counts[n] / len(leaving[n]))
+    if counts[name] > int(MOST_LEAVING * len(leaving[name])):
+        text = f"the subject leaves it in {counts[name]} of {len(leaving[name])} pictures"
+        yield Measure("box-cuts", text, "the sweep" if name == SWEEP else name, "mattes", {"folder": name})
+
+
+def _worst(code: str, found: Mapping[str, CutOff | None], most: float, sees: str) -> Measure:
+    """The camera with the largest share; its remedy names the place in every camera that has too much."""
+    shares = {name: one.share for name, one in found.items() if one is not None}
+    name = max(shares, key=lambda n: shares[n], default="none")
+    where = "; ".join(
+        f"{n}{sees}{_place(one)}" for n, one in found.items() if one is not None and one.share > most
+    )
+    return Measure(code, 100 * shares.get(name, 0.0), name, facts={"where": where})
 
 
 def _place(found: CutOff) -> str:

@@ -1,133 +1,47 @@
-"""Health rows of the flow: what its own checks say, and what the crew can do about it."""
+"""What the flow's own checks measure, for the stage's health."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 
+from devrf.capture.measure import Measure, highest, lowest
 from devrf.flow.checks import FlowChecks
-from devrf.pipelines.health.rows import HealthRow, listed, note, row
-
-SHAKE_PX = 0.1  # a tenth of a pixel is what flow itself is unsure of, in the median of a corner
-RATHER = {
-    "forward": ("the flow leads to the next frame, not to the one before", "turn the direction round"),
-    "next": ("the flow of a frame is that of the frame after it", "shift its files by one"),
-    "before": ("the flow of a frame is that of the frame before it", "shift its files by one"),
-    "full size": ("vectors are in pixels of the full-size picture", "scale them by the ratio of the sizes"),
-}
-"""Other explanations of a flow (`FlowChecks.better_as`): what it says, and what to do."""
 
 
-@listed
-def health(checks: dict[str, FlowChecks], given: bool = False) -> Iterator[HealthRow]:
-    """Rows for the worst camera of each check (docs: capture, hand-off to training).
+def flow_measures(checks: Mapping[str, FlowChecks], given: bool = False) -> Iterator[Measure]:
+    """The worst camera of each check (docs: capture, hand-off to training).
 
     Given flow need not be consistent with a way back that nobody knows; its mask may leave out the backdrop.
     """
-    if not checks:
-        yield note("flow", "no training camera sees the scene move: no flow")
-        return
-    if not given:
-        yield _consistent(checks)
+    if checks and not given:  # of a plain backdrop nothing is known
+        name = min(checks, key=lambda n: checks[n].valid or 0.0)
+        yield Measure("flow-consistent", checks[name].valid, name)
     moving = {name: check for name, check in checks.items() if check.moving_valid is not None}
     if moving:
-        yield from _of_motion(moving, given)
-    else:
-        yield note("motion", "nothing moves by more than half a pixel between frames")
-    yield from _of_cameras(checks)
-    gaps = {name: check.gaps for name, check in checks.items() if check.gaps}
-    if gaps:
-        total = sum(check.gaps + check.pairs for check in checks.values())
-        text = ", ".join(f"{name}: {count}" for name, count in gaps.items())
-        yield note(
-            "gaps in the clips",
-            f"{text} (of {total} pairs); no flow across them",
-            remedy="Frames were dropped while filming: use faster cards, or a lower resolution.",
-        )
-
-
-def _consistent(checks: dict[str, FlowChecks]) -> HealthRow:
-    camera, value = _worst(checks, lambda check: check.valid, min)
-    return row(
-        f"consistent share of what can be followed, worst camera ({camera})",
-        value,
-        warn=0.7,
-        fail=0.3,
-        remedy="Most of the flow contradicts itself: film with a higher frame rate, a shorter shutter "
-        "and more light; check that frames are in order.",
-    )
-
-
-def _of_motion(moving: dict[str, FlowChecks], given: bool) -> Iterator[HealthRow]:
-    """What is asked of clips in which something moves."""
-    camera, value = _worst(moving, lambda check: check.moving_valid, min)
-    yield row(
-        f"consistent share of what moves, worst camera ({camera})",
-        value,
-        warn=0.7,
-        remedy="The motion is too fast, blurred or without texture, or much of it is hidden in the frame before: "
-        "raise the frame rate or give the subject more texture.",
-    )
-    camera, value = _worst(moving, lambda check: check.warp_ratio, max)
-    yield row(
-        f"what warping leaves of the difference between frames, worst camera ({camera})",
-        value,
-        warn_above=0.8,
-        fail_above=1.05,
-        remedy="Following the flow does not lead to the previous frame: frames are out of order, or the "
-        "light flickers; lock the exposure.",
-    )
-    for camera, check in moving.items():
-        if check.better_as is not None:
-            says, remedy = RATHER[check.better_as]
-            whose = "in the data set's flow" if given else "in the method's result (flow.method)"
-            yield note(f"what the flow is ({camera})", says, verdict="fail", remedy=f"{remedy} {whose}.")
-    camera, value = _worst(moving, lambda check: check.large, max)
-    yield row(
-        f"share of moving pixels beyond 1/8 of the width, worst camera ({camera})",
-        value,
-        warn_above=0.05,
-        remedy="The subject moves too far between frames for this flow: raise the frame rate, or set "
-        "flow.method: raft."
-        if not given
-        else "The subject moves far between the data set's times: more times would help the motion.",
-    )
-    camera, value = _worst(moving, lambda check: check.unsure, max)
-    if not given:
-        yield row(
-            f"share of what moves with too little texture to be followed, worst camera ({camera})",
-            value,
-            warn_above=0.4,
-            remedy="Plain skin or cloth slides through unseen: give the subject texture (a pattern, make-up "
-            "dots) or more light; its flow counts less.",
-        )
-
-
-def _of_cameras(checks: dict[str, FlowChecks]) -> Iterator[HealthRow]:
-    """What cameras and light do while they should do nothing; no row where it cannot be told."""
-    lit = {name: check for name, check in checks.items() if check.brightness_step is not None}
-    if lit:
-        camera, value = _worst(lit, lambda check: check.brightness_step, max)
-        yield row(
-            f"change of brightness from one frame to the next where nothing moves, worst camera ({camera})",
-            100 * (value or 0.0),
-            "%",
-            warn_above=3.0,
-            remedy="A change of brightness reads as motion: lock the exposure, and avoid lamps that flicker.",
-        )
-    held = {name: check for name, check in checks.items() if check.shake_px is not None}
+        yield lowest("flow-moving", {name: check.moving_valid or 0.0 for name, check in moving.items()})
+        yield highest("flow-warping", {n: c.warp_ratio or 0.0 for n, c in moving.items()})
+        for name, check in moving.items():
+            if check.better_as is not None:
+                whose = "in the data set's flow" if given else "in the method's result (flow.method)"
+                facts = {"whose": whose}
+                yield Measure("flow-meaning", RATHER[check.better_as], name, check.better_as, facts, "fail")
+        far = {name: check.large or 0.0 for name, check in moving.items()}
+        yield highest("flow-large", far, why="given" if given else "")
+        if not given:
+            yield highest("flow-unsure", {name: check.unsure or 0.0 for name, check in moving.items()})
+    held = {name: check.shake_px for name, check in checks.items() if check.shake_px is not None}
     if held:
-        camera, value = _worst(held, lambda check: check.shake_px, max)
-        yield row(
-            f"movement of the whole picture from frame to frame, worst camera ({camera})",
-            value,
-            "px",
-            warn_above=SHAKE_PX,
-            remedy="The fixed camera shakes: weigh the tripod down, keep away from it, and switch stabilisation "
-            "off.",
-        )
+        yield highest("flow-shake", held)
+    pairs = sum(check.gaps + check.pairs for check in checks.values())
+    for name, check in checks.items():
+        if check.gaps:
+            lost = f"no flow across gaps in {name}"
+            found = f"{check.gaps} gaps (of {pairs} pairs); no flow across them"
+            yield Measure("frames-dropped", found, name, facts={"source": name, "lost": lost})
 
 
-def _worst(
-    checks: dict[str, FlowChecks], value: Callable[[FlowChecks], float | None], choose: Callable
-) -> tuple[str, float | None]:
-    """The camera with the worst value, and the value."""
-    camera = choose(checks, key=lambda name: value(checks[name]) or 0.0)
-    return camera, value(checks[camera])
+RATHER = {
+    "forward": "the flow leads to the next frame, not to the one before",
+    "next": "the flow of a frame is that of the frame after it",
+    "before": "the flow of a frame is that of the frame before it",
+    "full size": "vectors are in pixels of the full-size picture",
+}
+"""Other explanations of a flow (`FlowChecks.better_as`), in words."""

@@ -6,6 +6,7 @@ from pathlib import Path
 from devrf.calibration.formats import find_calibration
 from devrf.calibration.rigs.given import read_given
 from devrf.capture.errors import DevrfError
+from devrf.pipelines.health.judge import judge
 from devrf.pipelines.init.found import Roles
 
 SUFFIXES = frozenset((".toml", ".yml", ".yaml", ".xml", ".txt", ".json"))
@@ -33,4 +34,5 @@ def take_calibration(folder: Path, files: Sequence[Path], roles: Roles) -> None:
             continue
         roles.given, roles.metric = name, given.rig.scale.metric
         roles.why[name] = f"a calibration ({words}): lenses and poses of the cameras"
-        roles.doubts += [f"{name}: {n.check}: {n.text}. {n.remedy}" for n in given.notes if n.remedy]
+        doubts = [row for row in judge(given.measures) if row.verdict != "ok"]
+        roles.doubts += [f"{name}: {row.title}: {row.value}. {row.remedy}" for row in doubts]

@@ -9,11 +9,12 @@ from pathlib import Path
 
 from devrf.calibration.boards.guess import BoardGuess, Grey, board_pictures, guess_board
 from devrf.calibration.field.steady import steadiness
+from devrf.capture.measure import Measure
 from devrf.capture.survey import Look
+from devrf.pipelines.health.judge import judge
 from devrf.pipelines.init.boards import BOARD_SHARE, give_boards, is_board_clip
 from devrf.pipelines.init.found import Roles, Seen
 from devrf.pipelines.init.names import camera_name, photos
-from devrf.pipelines.stages.ingest import FEWEST_SWEEP_PICTURES
 
 FEWEST_PHOTOS = 8  # of a sweep that nobody calls one
 PLACES_A_SECOND = 2.0  # of a clip of a walk; a photo is one
@@ -127,7 +128,8 @@ def _fault(s: Seen) -> str | None:
         return "black: a lens cap, or no light; film again"
     if s.look.is_clip and s.look.count < 2:
         return "a single picture; expected a clip"
-    if not s.look.is_clip and s.called == "sweep" and s.look.count < FEWEST_SWEEP_PICTURES:
+    few = judge([Measure("sweep-few-pictures", s.look.count)])[0].verdict == "fail"
+    if not s.look.is_clip and s.called == "sweep" and few:
         return f"called a sweep, but has {photos(s.look.count)}: photograph the scene at rest from all around"
     return None
 

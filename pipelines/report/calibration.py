@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 POSES = "static_poses/static_poses.json"
-HELD_OUT = "held-out lengths on the board"  # how the rig stage's rows begin
+HELD_OUT = "board-lengths"  # code of health
 FEW, WEAK = 50, 200  # shared corners of a link: fewer do not tie cameras, fewer are weak (rig's health rows)
 FEW_POINTS, WEAK_POINTS = 30, 100  # the same of shared points of the sweep
 MAX_DOTS = 200  # more only make the page heavy
@@ -27,7 +27,7 @@ SECTORS = 8  # of directions in which a board leans
 def calibration(run: RunFolder) -> dict[str, Any]:
     """Plans, links, boards, residuals, and lengths on boards that no fit has seen."""
     drawn, remark = plans(run)
-    lengths = [(n, r) for n, r in enumerate(run.health("rig")) if str(r.get("check")).startswith(HELD_OUT)]
+    lengths = [(n, r) for n, r in enumerate(run.health("rig")) if r.get("code") == HELD_OUT]
     return {
         "plans": drawn,
         "remark": remark,
@@ -35,7 +35,6 @@ def calibration(run: RunFolder) -> dict[str, Any]:
         "boards": list(_boards(run)),
         "left_over": list(_residuals(run)),
         "held_out": lengths,
-        "HELD_OUT": HELD_OUT,
     }
 
 

@@ -177,7 +177,7 @@ def _judge(run: Run, now: Standing) -> int | None:
     if run.choice.allow_unhealthy:
         run.talk.say(f"  {now.stage.name}: unhealthy, going on (--allow-unhealthy)", style="yellow")
         return None
-    failed = "\n".join(f"{row.check}: {row.remedy}" for row in now.health if row.verdict == "fail")
+    failed = "\n".join(f"{row.title}: {row.remedy}" for row in now.health if row.verdict == "fail")
     run.talk.error(
         f"{now.stage.name}: its own check refused the result:\n{failed}\n"
         "The result is kept; mend the cause, or go on with --allow-unhealthy",

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from devrf.capture.durable import read_json, sync, write_json
-from devrf.pipelines.health.rows import HealthRow, Verdict, worst
+from devrf.capture.measure import Verdict
+from devrf.pipelines.health.judge import HealthRow, worst
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.stamp import HEALTH, stamp_id
 

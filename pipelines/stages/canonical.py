@@ -5,9 +5,9 @@ from dataclasses import asdict
 from typing import Any
 
 from devrf.capture.formats.scene_files import read_scene
-from devrf.pipelines.health.at_rest import at_rest_rows
-from devrf.pipelines.health.rows import row
-from devrf.pipelines.health.training import restart_rows
+from devrf.capture.measure import Measure
+from devrf.pipelines.health.at_rest import at_rest_measures
+from devrf.pipelines.health.training import restart_measures
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
@@ -15,8 +15,6 @@ from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.check_rest import check_rest
 from devrf.reconstruct.model_io import FILE, save_rest
 from devrf.reconstruct.train_canonical import train_canonical
-
-LEAST_PSNR_DB, DOUBTFUL_PSNR_DB = 10.0, 18.0  # of training pictures: below, nothing has been recovered
 
 
 def run(context: StageContext) -> None:
@@ -42,16 +40,6 @@ def run(context: StageContext) -> None:
         "check": fits_at_rest,
     }
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
-    context.health.append(
-        row(
-            "PSNR of training pictures",
-            metrics["train_psnr"],
-            "dB",
-            warn=DOUBTFUL_PSNR_DB,
-            fail=LEAST_PSNR_DB,
-            remedy="The scene at rest is not explained: check that nothing moved during the sweep, that "
-            "exposure was locked and that the poses are right (report), or train longer.",
-        )
-    )
-    context.health.extend(at_rest_rows(found))
-    context.health.extend(restart_rows(metrics))
+    context.measures.append(Measure("rest-psnr", metrics["train_psnr"]))
+    context.measures += at_rest_measures(found)
+    context.measures += restart_measures(metrics)

@@ -20,7 +20,7 @@ from devrf.capture.light import LightCourse
 from devrf.capture.look import Look, as_matrix
 from devrf.capture.picture_files import read_pixels
 from devrf.pipelines.clocks import read_clocks
-from devrf.pipelines.health.colour import colour_rows
+from devrf.pipelines.health.colour import colour_measures
 from devrf.pipelines.stage import StageContext
 
 # at which cameras are compared without a sweep: the subject shows several sides, in a minute's work
@@ -32,7 +32,7 @@ def run(context: StageContext) -> None:
     job = _Job(context)
     colours = job.colours()
     colours.write()
-    context.health.extend(colour_rows(colours, job.test_cameras))
+    context.measures += colour_measures(colours)
 
 
 class _Job:

@@ -8,18 +8,17 @@ from typing import Any
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.clocks import clock_dict, clocks_in_use
 from devrf.pipelines.flow_clips import flow_estimator
-from devrf.pipelines.health.in_motion import in_motion_rows
-from devrf.pipelines.health.rows import HealthRow, row
+from devrf.pipelines.health.in_motion import in_motion_measures
 from devrf.pipelines.health.training import (
-    flow_rows,
-    moved_clock_rows,
-    mover_rows,
-    restart_rows,
-    unknown_clock_rows,
+    contradicted_measures,
+    moved_clock_measures,
+    mover_measures,
+    restart_measures,
 )
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
@@ -35,7 +34,6 @@ from devrf.reconstruct.view_offsets import ViewOffset, view_offset
 
 KNOWN_MS = 5.0  # standard deviation of a clock that is good to measure by: those by sound are better
 FIELD = "motion is a field: clocks are found on models of parts only"
-OFTEN_LEFT, MOSTLY_LEFT = 0.05, 0.5  # share of samples whose motion leads out of the box
 
 
 def run(context: StageContext) -> None:
@@ -72,13 +70,14 @@ def run(context: StageContext) -> None:
     }
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
     if "left_box_share" in metrics:  # movers go wherever they were tracked
-        context.health.append(_left_box(metrics["left_box_share"]))
-    context.health.extend(in_motion_rows(cameras))
-    context.health.extend(restart_rows(metrics))
-    context.health.extend(mover_rows(metrics))
-    context.health.extend(flow_rows(metrics["flow_contradicted"]))
-    context.health.extend(moved_clock_rows(metrics.get("clock_offsets_s", {})))
-    context.health.extend(unknown_clock_rows(metrics["test_clocks"]))
+        context.measures.append(Measure("motion-leaves-box", 100 * metrics["left_box_share"]))
+    context.measures += in_motion_measures(cameras)
+    context.measures += restart_measures(metrics)
+    context.measures += mover_measures(metrics)
+    context.measures += contradicted_measures(metrics["flow_contradicted"])
+    context.measures += moved_clock_measures(metrics.get("clock_offsets_s", {}))
+    of_tests = {name: clock["offset_s"] for name, clock in metrics["test_clocks"].items()}
+    context.measures += moved_clock_measures(of_tests, "test")
 
 
 def _test_clocks(
@@ -102,15 +101,3 @@ def unknown_test_clocks(scene: Scene, clocks: Mapping[str, Clock]) -> list[str]:
     splits = {name: {f.split for f in scene.dynamic if f.camera_name == name} for name in clocks}
     unsure = {name for name, clock in clocks.items() if 1e3 * clock.std_s > KNOWN_MS}
     return [name for name, of in splits.items() if of == {"test"} and name in unsure]
-
-
-def _left_box(share: float) -> HealthRow:
-    return row(
-        "samples whose motion leads out of the box",
-        100 * share,
-        "%",
-        warn_above=100 * OFTEN_LEFT,
-        fail_above=100 * MOSTLY_LEFT,
-        remedy="The subject moves out of the box around the scene at rest: keep it nearer to where it "
-        "rests, or let the fixed cameras see all of its way so that the box is made larger.",
-    )

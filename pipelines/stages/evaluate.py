@@ -12,12 +12,12 @@ import numpy as np
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.truth import Truth, compare_cameras, compare_clocks, read_masks, read_truth
+from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.confidence import confidence_rows
-from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
-from devrf.pipelines.health.rows import NO_PICTURE, HealthRow, listed, row
+from devrf.pipelines.health.confidence import confidence_measures
+from devrf.pipelines.health.left_out import NO_PICTURE
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.pipelines.trained_scene import trained_scene
@@ -26,11 +26,16 @@ from devrf.reconstruct.confidence import subject_seen
 from devrf.reconstruct.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
-TEST_VIEWS = "PSNR of test views"
-GAIN = "what motion gains over the scene at rest, where it moves"
-AGAINST_TRUTH = "largest error against the truth"
-# first words of rows that nobody has without a test camera
-NEEDS_TEST_VIEWS = (TEST_VIEWS, GAIN, AGAINST_TRUTH)
+TEST_VIEWS = "test views"  # what some measures are about
+USUAL_ERRORS = {
+    "rig_rotation_deg": 0.15,
+    "rig_position_percent": 0.4,
+    "sync_ms": 1.0,
+}  # of a simulated session
+NEEDS_TEST_VIEWS = (
+    TEST_VIEWS,
+    *USUAL_ERRORS,
+)  # what measures are about that nobody has without a test camera
 
 
 def run(context: StageContext) -> None:
@@ -56,7 +61,7 @@ def run(context: StageContext) -> None:
     }
     if truth_file is not None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
-    context.health.extend(health(metrics, scene) + confidence_rows(metrics["confidence"]))
+    context.measures += [*health(metrics, scene), *confidence_measures(metrics["confidence"])]
     (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
 
 
@@ -147,48 +152,18 @@ def versions() -> dict[str, str]:
     return found
 
 
-@listed
-def health(metrics: dict[str, Any], scene: Scene) -> Iterator[HealthRow]:
+def health(metrics: dict[str, Any], scene: Scene) -> Iterator[Measure]:
     """Is the result any good, and does motion earn its keep?"""
     if any(frame.split == "test" for frame in scene.static):
-        yield row(
-            "PSNR of held-out sweep pictures",
-            metrics["test_static"]["psnr"],
-            "dB",
-            warn=18.0,
-            fail=8.0,
-            remedy="The scene at rest is not recovered: take more, sharper sweep pictures with more "
-            "overlap, and lock exposure and white balance.",
-        )
+        yield Measure("views-psnr", metrics["test_static"]["psnr"], "held-out sweep")
     if any(frame.split == "test" for frame in scene.dynamic):
         moving, still = motion_psnr(metrics)
-        yield row(
-            TEST_VIEWS,
-            metrics["test"]["psnr"],
-            "dB",
-            warn=18.0,
-            remedy="Test views are far from the truth: compare the look and the exposure of the cameras "
-            "with the sweep's, and check the rig.",
-        )
-        yield row(
-            GAIN,
-            None if moving is None or still is None else moving - still,
-            "dB",
-            warn=LEAST_GAIN_DB,
-            remedy="The motion field explains little: check that the clips begin as the sweep shows the "
-            "scene (capture.rest), the clocks, and that cameras stand around the subject."
-            + _said_retimed(metrics),
-        )
-    limits = (("rig_rotation_deg", "°", 0.15), ("rig_position_percent", "%", 0.4), ("sync_ms", "ms", 1.0))
-    for name, unit, limit in limits if "truth" in metrics else ():
+        gain = None if moving is None or still is None else moving - still
+        yield Measure("views-psnr", metrics["test"]["psnr"], TEST_VIEWS, "test", refuses=False)
+        yield Measure("views-gain", gain, TEST_VIEWS, facts={"retimed": _said_retimed(metrics)})
+    for name, warn in USUAL_ERRORS.items() if "truth" in metrics else ():
         if metrics["truth"][name] is not None:
-            yield row(
-                f"{AGAINST_TRUTH}, {name}",
-                metrics["truth"][name],
-                unit,
-                warn_above=limit,
-                remedy="The calibration of this simulated session is worse than usual.",
-            )
+            yield Measure("truth-missed", metrics["truth"][name], name, warn=warn)
 
 
 def _said_retimed(metrics: dict[str, Any]) -> str:

@@ -15,6 +15,7 @@ from jaxtyping import UInt8
 
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.measure import noted
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import clip_flow, gaps_of
@@ -22,8 +23,7 @@ from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
 from devrf.pipelines.budget.at_once import flow_at_once
 from devrf.pipelines.flow_clips import flow_estimator, is_brought, time_of, training_clips
-from devrf.pipelines.health.flow import health
-from devrf.pipelines.health.rows import note
+from devrf.pipelines.health.flow import flow_measures
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamps.stamp import identity_key
 
@@ -74,12 +74,10 @@ def run(context: StageContext) -> None:
     )
     (context.out / "flow.json").write_text(text + "\n")
     if brought:
-        context.health.append(note("flow", "given with the data set"))
-        if first := [name for name, frames in clips.items() if frames[0].flow is not None]:
-            context.health.append(
-                note("flow of a first frame", f"{', '.join(first)}: ignored, nothing comes before")
-            )
-    context.health.extend(health(checks, brought))
+        first = [name for name, frames in clips.items() if frames[0].flow is not None]
+        ignored = [f"that of a first frame is ignored: {', '.join(first)}"] if first else []
+        context.measures += noted(["given with the data set", *ignored], "flow")
+    context.measures += flow_measures(checks, brought)
 
 
 def _unfinished(context: StageContext) -> Path:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,17 +11,17 @@ from devrf.capture.audio import Sound
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, places, sharp
 from devrf.capture.ingest import write_frames, write_sounds
+from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.session import CaptureSession
 from devrf.capture.srgb import linear_from_srgb
 from devrf.pipelines.budget.raw_files import ingested_at_once
 from devrf.pipelines.capture_session import capture_session
-from devrf.pipelines.health.light import light_rows
-from devrf.pipelines.health.rows import HealthRow, left_out_row, note, row, without_refusal
+from devrf.pipelines.health.left_out import left_out
+from devrf.pipelines.health.light import light_measures
 from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet
 TRUSTED = 0.5  # confidence from which a clock limits what is kept
-FEWEST_SWEEP_PICTURES = 3  # with fewer nothing is registered
 LEAST_LEFT = 10  # frames of a damaged clip, ...
 # ... and share of what its file announces: with less it is not the clip that was filmed
 LEAST_LEFT_SHARE = 0.5
@@ -44,8 +45,8 @@ def run(context: StageContext) -> None:
         ingested_at_once(context, session),
     )
     refuse_damaged(frames)
-    context.health.extend(health(frames))
-    context.health.extend(light_rows(frames, context.out))
+    context.measures += ingested(frames)
+    context.measures += light_measures(frames, context.out)
 
 
 def refuse_damaged(frames: FrameSet) -> None:
@@ -98,89 +99,52 @@ def file_ranges(
     return ranges
 
 
-def health(frames: FrameSet) -> list[HealthRow]:
-    """Rows about the sweep, the moving cameras and what they have in common."""
-    rows: list[HealthRow] = []
+def ingested(frames: FrameSet) -> Iterator[Measure]:
+    """The sweep, the moving cameras and what they have in common, and what is odd about single clips."""
     if SWEEP in frames.cameras:
-        rows += _sweep(frames.cameras[SWEEP])
+        yield from _sweep(frames.cameras[SWEEP])
     if frames.trained:
-        rows += _moving(frames.trained)
+        yield from _filmed(frames.trained)
+        yield _exposure(frames.trained)
     for name, camera in frames.tests.items():
-        rows += without_refusal(_filmed({name: camera}))
-    rows += [left_out_row(name, why) for name, why in frames.left_out.items()]
+        yield from of_test(name, _filmed({name: camera}))
+    for name, why in frames.left_out.items():
+        yield left_out(name, why)
     for name, camera in frames.cameras.items():
+        source = {"source": camera.source}
         if camera.ended_early is not None:
-            remedy = (
-                f"{camera.source} is damaged: what is there is used, and the scene ends with it; copy the file from "
-                "the camera again to have all of it."
-            )
-            rows.append(note(f"end of {name}", camera.ended_early, remedy=remedy))
-        rows += [
-            note(f"{fault.check}, {name}", fault.found, remedy=f"{camera.source}: {fault.remedy}")
-            for fault in camera.faults
-        ]
-        if camera.notes:
-            rows.append(note(name, "; ".join(camera.notes)))
-    return rows
+            yield Measure("not-used", camera.ended_early, name, "ended", source)
+        for fault in camera.faults:
+            yield replace(fault, about=name, facts={**fault.facts, **source})
+        yield from noted(camera.notes, name)
 
 
-def _sweep(sweep: CameraFrames) -> Iterator[HealthRow]:
+def _sweep(sweep: CameraFrames) -> Iterator[Measure]:
     is_sharp = sharp([frame.sharpness for frame in sweep.used])
     blurred = [frame.place for frame, ok in zip(sweep.used, is_sharp, strict=True) if not ok]
-    sizes = [text for text in sweep.notes if text.startswith("mixed sizes")]
-    yield row(
-        "pictures of the sweep",
-        float(len(sweep.used)),
-        warn=20.0,
-        fail=float(FEWEST_SWEEP_PICTURES),
-        remedy="Film more of the scene at rest: walk around it slowly, at two or three heights.",
-    )
-    yield row(
-        "sharp share of the sweep",
-        float(is_sharp.mean()),
-        warn=0.8,
-        fail=0.3,
-        remedy=f"{sweep.source}: {len(blurred)} of {len(is_sharp)} pictures are blurred ({places(blurred)}). Walk "
-        "more slowly, or use a shorter shutter and more light.",
-    )
-    if sizes:
-        remedy = f"{sweep.source}: keep one camera in one mode (size and orientation) for the whole sweep."
-        yield note("sizes in the sweep", sizes[0], remedy=remedy)
+    facts = {
+        "source": sweep.source,
+        "blurred": len(blurred),
+        "count": len(is_sharp),
+        "places": places(blurred),
+    }
+    yield Measure("sweep-few-pictures", len(sweep.used))
+    yield Measure("sweep-blurred", float(is_sharp.mean()), facts=facts)
+    for text in sweep.notes:
+        if text.startswith("mixed sizes"):
+            yield Measure("not-used", text, "sweep", "sizes", {"source": sweep.source})
 
 
-def _filmed(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
+def _filmed(cameras: dict[str, CameraFrames]) -> Iterator[Measure]:
     fewest = min(cameras, key=lambda name: len(cameras[name].used))
+    yield Measure("clip-short", len(cameras[fewest].used), fewest, facts={"source": cameras[fewest].source})
     gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
     worst = max(gaps, key=lambda name: gaps[name])
-    yield row(
-        f"frames of a moving camera, fewest ({fewest})",
-        float(len(cameras[fewest].used)),
-        warn=10.0,
-        fail=2.0,
-        remedy=f"{cameras[fewest].source} is too short: film longer, or widen capture.range_s.",
-    )
     lost = next((text for text in cameras[worst].notes if "frames missing" in text), "frames are missing")
-    yield row(
-        f"share of frames dropped while filming, worst camera ({worst})",
-        gaps[worst],
-        warn_above=0.02,
-        fail_above=0.5,
-        remedy=f"{cameras[worst].source}: {lost}. Use a faster card, or a lower resolution or bit rate.",
-    )
+    yield Measure("frames-dropped", gaps[worst], worst, facts={"source": cameras[worst].source, "lost": lost})
 
 
-def _moving(cameras: dict[str, CameraFrames]) -> Iterator[HealthRow]:
-    yield from _filmed(cameras)
-    yield _exposure(cameras)
-    silent = [name for name, c in cameras.items() if not c.has_audio]
-    yield note("sound", f"silent: {', '.join(silent)}" if silent else "in every camera")
-    sizes = {(c.width, c.height) for c in cameras.values()}
-    if len(sizes) > 1:
-        text = ", ".join(f"{name}: {c.width}x{c.height}" for name, c in cameras.items())
-        yield note("sizes of the moving cameras", f"{text}; each keeps its own")
-
-
-def _exposure(cameras: dict[str, CameraFrames]) -> HealthRow:
+def _exposure(cameras: dict[str, CameraFrames]) -> Measure:
     """Spread of the median brightness between cameras, in stops: views differ a little, settings a lot."""
     stops = {
         name: math.log2(max(1e-3, float(linear_from_srgb(np.array(c.level / 255)))))
@@ -188,10 +152,4 @@ def _exposure(cameras: dict[str, CameraFrames]) -> HealthRow:
         if c.level is not None
     }
     dark, bright = (f(stops, key=lambda name: stops[name]) for f in (min, max))
-    return row(
-        f"exposure between cameras, {bright} against {dark}",
-        stops[bright] - stops[dark],
-        "stops",
-        warn_above=0.7,
-        remedy="Mixed exposure: set the same exposure, gain and white balance by hand on all cameras.",
-    )
+    return Measure("exposure-differs", stops[bright] - stops[dark], f"{bright} against {dark}")

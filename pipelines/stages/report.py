@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from devrf.capture.measure import Measure
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.rows import note
 from devrf.pipelines.report.page import build_report
 from devrf.pipelines.report.run import RunFolder
 from devrf.pipelines.runner.plan import last_error
@@ -25,14 +25,7 @@ def run(context: StageContext) -> None:
     unreadable = write_report(context.config, context.run_dir, context.out / PAGE)
     context.progress(1.0, PAGE)
     if unreadable:
-        names = ", ".join(unreadable)
-        context.health.append(
-            note(
-                "report: files that could not be read",
-                names,
-                remedy="Run the stages that wrote them again with --force.",
-            )
-        )
+        context.measures.append(Measure("report-unread", ", ".join(unreadable)))
 
 
 def report_so_far(config: SceneConfig, run_dir: Path, stale: Mapping[str, str]) -> None:

@@ -24,14 +24,22 @@ from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.calibration.truth import similarity
 from devrf.capture.errors import CalibrationError, HealthError, InputError
 from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.progress import Progress, no_progress, part
 from devrf.pipelines.board_clips import BoardClips, files_of
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.budget.at_once import registered_at_once
 from devrf.pipelines.given_calibration import given_calibration
-from devrf.pipelines.health.board import board_rows
-from devrf.pipelines.health.rig import bump_row, graph_rows, joint_rows, route_rows, scale_rows, sweep_rows
-from devrf.pipelines.health.rows import HealthRow, left_out_row, note, row, without_refusal
+from devrf.pipelines.health.board import board_measures
+from devrf.pipelines.health.left_out import left_out
+from devrf.pipelines.health.rig import (
+    bump_measures,
+    graph_measures,
+    joint_measures,
+    route_measures,
+    scale_measures,
+    sweep_measures,
+)
 from devrf.pipelines.joint_clips import JointViews, read_joint_views
 from devrf.pipelines.stage import StageContext
 
@@ -52,10 +60,10 @@ def run(context: StageContext) -> None:
     cameras = {n: replace(c, details=told.get(n, c.details)) for n, c in rig.cameras.items()}
     write_rig(context.out / "rig.json", replace(rig, cameras=cameras))
     for name, calibration in job.boards.items():
-        rows = board_rows(name, calibration)
-        context.health.extend(rows if name in job.trained else without_refusal(rows))
+        found = board_measures(name, calibration)
+        context.measures += found if name in job.trained else of_test(name, found)
     unmeasured_board = job.spec is not None and not job.board_is_measured
-    context.health.extend([*job.rows, *scale_rows(job.scales, rig.scale, unmeasured_board)])
+    context.measures += [*job.measures, *scale_measures(job.scales, rig.scale, unmeasured_board)]
 
 
 class _Job:
@@ -75,7 +83,7 @@ class _Job:
         self.settings = context.config.calibration.rig
         self.sweep_folder = context.run_dir / "static_poses"
         self.has_sweep = (self.sweep_folder / "static_poses.json").is_file()
-        self.rows: list[HealthRow] = []
+        self.measures: list[Measure] = []
         self.scales: list[Scale] = []
         self.boards: dict[str, BoardCalibration] = {}
         self.swept: SweepRig | None = None
@@ -124,8 +132,7 @@ class _Job:
         """What `calibration.rig.given` names, at the sizes of the clips."""
         sizes = {name: (c.width, c.height) for name, c in self.frames.moving.items()}
         found = given_calibration(self.context.config, self.context.scene_dir, sizes)
-        for n in () if found is None else found.notes:
-            self.rows.append(note(n.check, n.text, remedy=n.remedy))
+        self.measures += () if found is None else found.measures
         return found
 
     def from_sweep(self) -> Rig:
@@ -138,7 +145,7 @@ class _Job:
             n: replace(c, intrinsics_source="given") if n in given else c for n, c in swept.cameras.items()
         }
         for name, c in cameras.items():
-            self.rows += sweep_rows(name, c)
+            self.measures += sweep_measures(name, c)
         context.progress(0.65, "metric scale")
         self.scales = self._scales(model, {n: c.camera.centre for n, c in cameras.items()})
         joint = [name for name in cameras if name in self.frames.joint]
@@ -166,19 +173,19 @@ class _Job:
             self.scales = [Scale(True, "board seen by several cameras at once", 1.0, None)]
         scale = self.scales[0] if self.scales else ARBITRARY
         rig = Rig(cameras, scale, "board", camera_graph(problem, index))
-        self.rows += graph_rows(rig.graph, rig)
+        self.measures += graph_measures(rig.graph, rig)
         return rig
 
     def with_test_cameras(self, rig: Rig) -> Rig:
         """The rig with its test cameras, each placed by itself against what stands; those that cannot be are named."""
-        placed, left_out = dict(rig.cameras), {}
+        placed, missing = dict(rig.cameras), {}
         for name in self.tests:
             try:
                 placed[name] = rig.cameras.get(name) or self._test_camera(name, rig)
             except (HealthError, InputError, CalibrationError) as error:
-                left_out[name] = str(error)
-                self.rows.append(left_out_row(name, str(error)))
-        return replace(rig, cameras=placed, left_out=left_out)
+                missing[name] = str(error)
+                self.measures.append(left_out(name, str(error)))
+        return replace(rig, cameras=placed, left_out=missing)
 
     def _test_camera(self, name: str, rig: Rig) -> RigCamera:
         """A test camera in the sweep's world, or where there is no sweep in the board's."""
@@ -189,7 +196,7 @@ class _Job:
         known = self._clip_calibrations(alone, no_progress) | given
         found = self._register(self.model, alone, known, self.context.progress, self.swept).cameras[name]
         found = replace(found, intrinsics_source="given") if name in given else found
-        self.rows += without_refusal(sweep_rows(name, found))
+        self.measures += of_test(name, sweep_measures(name, found))
         return _scaled(found, rig.scale.factor)
 
     def _test_camera_by_board(self, name: str, rig: Rig) -> RigCamera:
@@ -223,20 +230,18 @@ class _Job:
         try:
             seen, board = self._board_rig(names, progress)
         except HealthError as error:
-            remedy = "Hold the board where several cameras see it; the sweep alone was used."
-            self.rows.append(note("rig from the board", str(error), remedy=remedy))
+            self.measures.append(Measure("rig-routes", str(error), why="unused"))
             return None
         ours = {n: c.camera for n, c in cameras.items()}
         joint = adjust_together(swept.solution, swept.index, ours, board)
         unit = joint.problem.unit
-        rows, same = route_rows(disagreement(ours, board.cameras), cameras, board, unit)
-        self.rows += rows
+        found, same = route_measures(disagreement(ours, board.cameras), cameras, board, unit)
+        self.measures += found
         if not same:
-            remedy = "Film the joint clips again, with the cameras where they are now."
-            text = "the sweep's; the board's does not fit it"
-            self.rows.append(note("rig", text, remedy=remedy))
+            self.measures.append(
+                Measure("rig-routes", "the board's does not fit, the sweep's is used", why="unfit")
+            )
             return None
-        self.rows.append(note("rig", "sweep and board adjusted together"))
         source = f"board seen at once by {', '.join(names)}"
         if self.board_is_measured:
             self.scales.append(Scale(True, source, 1 / unit, joint.unit_std))
@@ -260,7 +265,7 @@ class _Job:
         for name, camera in self.frames.moving.items():
             seen = [(f.file, f.time_s) for f in camera.used if f.file is not None and f.time_s is not None]
             files = [self.ingest / file for file, _ in seen]
-            self.rows.append(bump_row(name, find_bump(files, [t for _, t in seen])))
+            self.measures += bump_measures(name, find_bump(files, [t for _, t in seen]))
 
     def _register(
         self,
@@ -308,7 +313,7 @@ class _Job:
         progress(0.9, "held-out lengths")
         measured = self.board_is_measured  # without a measured square there are no millimetres to check
         check = cross_check(seen.views, seen.spec, seen.start, seen.known) if measured else None
-        self.rows += joint_rows(found, check)
+        self.measures += joint_measures(found, check)
         return seen, found
 
     def _by_board(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
@@ -328,10 +333,8 @@ class _Job:
         found: list[Scale] = []
         if self.board_is_measured:
             scale, text = self._scale_from_sweep_board(model)
-            if scale is not None:
-                found.append(scale)
-            elif text:
-                self.rows.append(note("board in the sweep", text))
+            found += [] if scale is None else [scale]
+            self.measures += noted([text] if scale is None and text else [], "board in the sweep")
         distance = self.settings.known_distance_m
         if distance is not None:
             first, second = list(centres)[:2]
@@ -373,18 +376,8 @@ class _Job:
         miss = max(
             float(np.linalg.norm(cameras[n].camera.centre - found[n].camera.centre / unit)) for n in names
         )
-        self.rows.append(
-            row(
-                "given rig against its registration in the sweep",
-                100
-                * miss
-                / max(float(np.median([c.details["median_distance"] for c in found.values()])) / unit, 1e-9),
-                "% of distance",
-                warn_above=1.0,
-                fail_above=5.0,
-                remedy="The given calibration does not fit what the cameras see: a camera was moved since.",
-            )
-        )
+        distance = float(np.median([c.details["median_distance"] for c in found.values()])) / unit
+        self.measures.append(Measure("rig-given-moved", 100 * miss / max(distance, 1e-9)))
         return Rig(cameras, replace(rig.scale, factor=1 / unit), "given")
 
 

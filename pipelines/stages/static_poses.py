@@ -15,16 +15,16 @@ from devrf.calibration.sweep.static_poses import (
     SweepOptions,
     recover_static_poses,
 )
-from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
+from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, some
+from devrf.capture.measure import noted
 from devrf.capture.photo_folders import list_pictures
 from devrf.capture.picture_files import open_picture
 from devrf.capture.progress import Progress, no_progress
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.budget.at_once import swept_at_once
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
-from devrf.pipelines.health.board import board_rows
-from devrf.pipelines.health.rows import HealthRow, row
-from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, mask_rows, sweep_rows
+from devrf.pipelines.health.board import board_measures
+from devrf.pipelines.health.sweep import sweep_measures
 from devrf.pipelines.stage import StageContext
 
 
@@ -48,14 +48,11 @@ def run(context: StageContext) -> None:
         progress=context.progress,
         options=sweep_options(sfm, context.allowance.left_s, threads, side_px),
     )
-    context.health.extend(coarser_rows(side_px))
-    context.health.extend(sweep_rows(model))
-    context.health.extend(mask_rows(without_mask))
+    context.measures += sweep_measures(model, None if board is None else board.intrinsics, side_px)
+    context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
     if board is not None:
         _add_board(context.out / "static_poses.json", board)
-        context.health.append(board_focal_row(model, board.intrinsics))
-        context.health.extend(board_bend_rows(model, board.intrinsics))
-        context.health.extend(board_rows(SWEEP, board))
+        context.measures += board_measures(SWEEP, board)
 
 
 def recover_sweep(
@@ -105,22 +102,6 @@ def recover_sweep(
             progress=progress,
         )
     return model, without
-
-
-def coarser_rows(side_px: int) -> list[HealthRow]:
-    """Whether pictures had to be made smaller than they usually are, for want of memory."""
-    if side_px == MAX_IMAGE_SIZE:
-        return []
-    return [
-        row(
-            "longer side of the sweep's pictures in which features were found",
-            float(side_px),
-            "pixels",
-            warn=float(MAX_IMAGE_SIZE),
-            remedy="The memory that was allowed was too little for larger ones: raise budget.memory_gb or take a "
-            "larger machine, and run again with --force static_poses.",
-        )
-    ]
 
 
 def sweep_options(

@@ -17,18 +17,24 @@ from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
+from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.recorded import Recorded
 from devrf.capture.rest import Rest
 from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.health.clock import BY_GEOMETRY, UNSURE_FRAMES, USUAL_FPS, confidence_row, frame_ms
-from devrf.pipelines.health.rows import HealthRow, left_out_row, note, of_test, row, without_refusal
+from devrf.pipelines.health.clock import (
+    BY_GEOMETRY,
+    UNSURE_FRAMES,
+    USUAL_FPS,
+    confidence_measure,
+    frame_ms,
+)
+from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.stage import StageContext
 
 MIN_SHARED_FRAMES = 2
 FEW_SHARED_FRAMES = 5
 LISTED_NOTES = 2
 WRONG_RATE_PPM = 200.0  # no quartz is that far off; 29.97 declared as 30 is 1000
-DIFFERENT_FPS = 1.02
 
 
 def run(context: StageContext) -> None:
@@ -41,7 +47,7 @@ def run(context: StageContext) -> None:
     result = job.solve(frames.trained)
     content: dict[str, Any] = as_dict(result)
     content["shared_s"] = list(shared_span(frames.trained, result))
-    context.health.extend(health(frames.trained, result))
+    context.measures += measures(frames.trained, result)
     curves = _evidence(result)
     curves["tests"], content["tests"] = {}, {}
     for name, camera in frames.tests.items():  # each against those that stand
@@ -50,7 +56,7 @@ def run(context: StageContext) -> None:
         content["cameras"][name] = clock_dict(placed.cameras[name])
         content["tests"][name] = {"loop_s": placed.loop_s, "notes": list(placed.notes)}
         curves["tests"][name] = _evidence(placed)
-        context.health.extend(test_health(name, alone, placed, result))
+        context.measures += test_measures(name, alone, placed, result)
     joint = {n: c for n, c in frames.cameras.items() if c.role == "joint"}
     tests = {frames.joint[n] for n in frames.tests if n in frames.joint} & joint.keys()
     trained = {n: c for n, c in joint.items() if n not in tests}
@@ -160,67 +166,51 @@ def _curve_dict(curve: Curve) -> dict[str, Any]:
     } | curve_dict(curve.lags_s, curve.values)
 
 
-def health(cameras: dict[str, CameraFrames], result: SyncResult) -> list[HealthRow]:
-    """Rows about how sure the clocks are and about what the clips share."""
-    rows = [*_clocks(cameras, result), *_cues(result), *_rates(cameras, result), _overlap(cameras, result)]
-    if result.notes:
-        rows.append(note("how it was decided", "; ".join(result.notes)))
-    return rows
+def measures(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Measure]:
+    """How sure the clocks are, and what the clips share."""
+    found = [*_clocks(cameras, result), *_cues(result), *_rates(cameras, result), _overlap(cameras, result)]
+    return [*found, *noted(result.notes, "clocks")]
 
 
-def test_health(
+def test_measures(
     name: str, cameras: dict[str, CameraFrames], placed: SyncResult, others: SyncResult
-) -> list[HealthRow]:
-    """Rows about the clock of a test camera, which refuse nothing; `others`: the clocks that stand."""
+) -> list[Measure]:
+    """The clock of a test camera, which refuses nothing; `others`: the clocks that stand."""
     alone = replace(placed, cameras={n: c for n, c in placed.cameras.items() if n not in others.cameras})
     times = alone.cameras[name].true_time(used_times(cameras[name]))
-    rows = [*_clocks(cameras, alone), *_cues(placed)]
+    found = [*_clocks(cameras, alone), *_cues(placed)]
     modelled = _modelled(cameras, {n: placed.cameras[n].true_time(used_times(c)) for n, c in cameras.items()})
     if modelled is not None and not ((times >= modelled[0]) & (times <= modelled[1])).any():
         why = (
             f"it films from {times[0]:.2f} to {times[-1]:.2f} s, and what is modelled lasts from {modelled[0]:.2f} to "
             f"{modelled[1]:.2f} s"
         )
-        rows.append(left_out_row(name, why))
-    return without_refusal(of_test(name, rows))
+        found.append(left_out(name, why))
+    return of_test(name, found)
 
 
-def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[HealthRow]:
+def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[Measure]:
     others = {name: clock for name, clock in result.cameras.items() if name != next(iter(cameras))}
     if not others:
         return
     cues = sorted({clock.method for clock in others.values()})
     if all(clock.method == "timestamps" and clock.confidence == 1 for clock in others.values()):
-        yield note("cue", "the table of times")
         return
     if all(clock.basis.startswith("the clips' own") for clock in others.values()):
-        remedy = "Check that the cameras are synchronised by hardware, else clap and use method auto."
-        yield note("cue", "none; the clips' own times", remedy=remedy)
+        yield Measure("clock-unknown", "no cue is used; the clips' own times", ", ".join(others), "assumed")
         return
     worst = min(others, key=lambda name: others[name].confidence)
     why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
     moves = any(curve.method == "motion" and worst in (curve.first, curve.second) for curve in result.curves)
-    yield note("cue", ", ".join(cues))
-    yield confidence_row(worst, others[worst], why, BY_GEOMETRY if moves else "")
+    yield confidence_measure(worst, others[worst], why, BY_GEOMETRY if moves else "")
     vague = max(others, key=lambda name: others[name].std_s)
     if math.isfinite(others[vague].std_s):
         step_ms = frame_ms(cameras[vague])
-        yield row(
-            f"standard deviation, worst camera ({vague})",
-            1e3 * others[vague].std_s,
-            "ms",
-            warn_above=UNSURE_FRAMES * step_ms,
-            remedy="A quarter of a frame or more is unsure, and shifting whole frames would add up to "
-            f"{step_ms / 2:.0f} ms: give all cameras sound, and clap.",
-        )
+        warn, facts = UNSURE_FRAMES * step_ms, {"half_ms": step_ms / 2}
+        yield Measure("clock-vague", 1e3 * others[vague].std_s, vague, facts=facts, warn=warn)
     if result.loop_s is not None:
-        yield row(
-            "largest contradiction between pairs of cameras",
-            1e3 * result.loop_s,
-            "ms",
-            warn_above=2.0 if cues == ["audio"] else 100.0,
-            remedy=f"{_worst_loop(result)}: clap in the middle, equally far from all cameras.",
-        )
+        warn, facts = 2.0 if cues == ["audio"] else 100.0, {"loop": _worst_loop(result)}
+        yield Measure("clocks-disagree", 1e3 * result.loop_s, "", "loop", facts, warn=warn)
 
 
 def _worst_loop(result: SyncResult) -> str:
@@ -230,70 +220,51 @@ def _worst_loop(result: SyncResult) -> str:
     return f"The loop {' - '.join(loop.cameras)} does not close, {1e3 * abs(loop.closure_s):.0f} ms are left"
 
 
-def _cues(result: SyncResult) -> Iterator[HealthRow]:
+def _cues(result: SyncResult) -> Iterator[Measure]:
     """Independent cues against each other."""
     for other in dict.fromkeys(c.other for c in result.comparisons):
         pairs = [c for c in result.comparisons if c.other == other]
         worst = max(pairs, key=lambda c: abs(c.difference_s) / c.limit_s)
-        names = f"{worst.first} and {worst.second}"
-        yield row(
-            f"{other} against sound, {names}",
-            1e3 * abs(worst.difference_s),
-            "ms",
-            warn_above=1e3 * worst.limit_s,
-            remedy=f"{names}: {other} and sound differ by {1e3 * worst.difference_s:+.0f} ms. If it is the same "
-            "in every take, it is the camera's lag between sound and pictures: set calibration.sync.av_lag_s: "
-            f"{{{worst.second}: {worst.difference_s:.3f}}}. Else film a clap that the cameras also see.",
-        )
+        facts = {
+            "names": f"{worst.first} and {worst.second}",
+            "cue": other,
+            "difference_ms": 1e3 * worst.difference_s,
+            "difference_s": worst.difference_s,
+            "second": worst.second,
+        }
+        about, value_ms = f"{other} against sound, {facts['names']}", 1e3 * abs(worst.difference_s)
+        yield Measure("clocks-disagree", value_ms, about, "cue", facts, warn=1e3 * worst.limit_s)
 
 
-def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[HealthRow]:
-    """Clocks that run at different rates, and cameras that take different numbers of pictures."""
+def _rates(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[Measure]:
+    """A clock that runs at another rate than any quartz does."""
     drifts = {name: clock.drift_ppm for name, clock in result.cameras.items() if clock.drift_ppm}
-    if drifts:
-        worst = max(drifts, key=lambda name: abs(drifts[name]))
+    worst = max(drifts, key=lambda name: abs(drifts[name]), default="")
+    if worst and abs(drifts[worst]) > WRONG_RATE_PPM:
         t = used_times(cameras[worst])
         over_ms = 1e-3 * drifts[worst] * (t[-1] - t[0])
-        value = f"{worst} {drifts[worst]:+.0f} ppm: {over_ms:+.1f} ms over its clip; counted"
-        wrong_base = abs(drifts[worst]) > WRONG_RATE_PPM
-        yield note(
-            "drift",
-            value,
-            remedy=f"{worst}'s file declares a wrong rate (29.97 declared as 30 is 1000 ppm): its times are "
-            "stretched to fit; copy the original file from the camera, without conversion."
-            if wrong_base
-            else "",
-        )
-    rates = {name: c.fps_mean for name, c in cameras.items() if c.fps_mean}
-    if rates and max(rates.values()) > DIFFERENT_FPS * min(rates.values()):
-        text = ", ".join(f"{name} {fps:.4g} fps" for name, fps in rates.items())
-        yield note("frame rates", f"{text}; frames keep their own times")
+        text = f"{worst} {drifts[worst]:+.0f} ppm: {over_ms:+.1f} ms over its clip; counted"
+        yield Measure("clip-times", text, worst, "rate")
 
 
-def _overlap(cameras: dict[str, CameraFrames], result: SyncResult) -> HealthRow:
+def _overlap(cameras: dict[str, CameraFrames], result: SyncResult) -> Measure:
     """What all cameras show; refused only where that leaves no time to model."""
     from_s, to_s = shared_span(cameras, result)
     times = {name: result.cameras[name].true_time(used_times(c)) for name, c in cameras.items()}
-    spans = ", ".join(f"{name}: {t[0]:.2f} to {t[-1]:.2f} s" for name, t in times.items())
-    together = "start all cameras before the action, stop them after it"
-    remedy = f"The clips share hardly any time ({spans}): {together}."
-    modelled = _modelled(cameras, times)
+    modelled, apart = _modelled(cameras, times), []
+    facts = {"spans": ", ".join(f"{name}: {t[0]:.2f} to {t[-1]:.2f} s" for name, t in times.items())}
     if modelled is not None:
         begin, end = modelled
         apart = [name for name, t in times.items() if not ((t >= begin) & (t <= end)).any()]
-        if apart:
-            remedy = (
-                f"Nothing of {', '.join(apart)} is used: the training cameras film together from {begin:.2f} to "
-                f"{end:.2f} s, and only that is modelled ({spans}): {together}, or check the clocks."
-            )
+        facts |= {"apart": ", ".join(apart), "begin_s": begin, "end_s": end}
     slowest = min((c.fps_mean or USUAL_FPS) for c in cameras.values())
-    return row(
-        "time that all cameras show",
+    return Measure(
+        "cameras-apart",
         to_s - from_s,
-        "s",
+        why="unused" if apart else "",
+        facts=facts,
         warn=(FEW_SHARED_FRAMES - 1) / slowest,
         fail=(MIN_SHARED_FRAMES - 1) / slowest if modelled is None else None,
-        remedy=remedy,
     )
 
 

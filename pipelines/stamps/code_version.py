@@ -32,7 +32,7 @@ LIBRARIES = {  # of a room or a part of it -> the distributions that compute som
 }
 
 _HERE = Path(__file__).resolve().parents[2]  # rooms lie beside one another, installed or not
-_CODE = (".py", ".css", ".html", ".js", ".json")
+_CODE = (".py", ".css", ".html", ".js", ".json", ".yaml")
 _RELEASE = re.compile(r"(\d+)(?:\.(\d+))?[\d.]*(?:\.post\d+)?(?:\+.*)?")
 
 

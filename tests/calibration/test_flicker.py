@@ -47,7 +47,7 @@ TIME_S = np.arange(FRAMES) / FPS
 def test_a_steady_clip_is_left_alone():
     pictures = film(np.ones((FRAMES, 1, 3)))
     course = measure(pictures, TIME_S)
-    assert judge_light(course).steady and judge_light(course).known == 1
+    assert judge_light(course).steady
     assert steady_gains(course) is None
 
 
@@ -146,4 +146,4 @@ def test_frames_that_are_not_known_follow_their_neighbours():
     assert whole is not None and gains is not None
     np.testing.assert_allclose(gains, whole, rtol=2 * 0.003)
     course.stops[20:110] = np.nan
-    assert steady_gains(course) is None and judge_light(course).known < 0.5
+    assert steady_gains(course) is None

@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.judged import fired, judged
 from tests.refused import refused
 from tests.rigs import RIG_LAYOUTS
 
@@ -16,6 +17,7 @@ from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
 from devrf.capture.formats.colmap_model import Model, read_model, write_model
+from devrf.pipelines.health.judge import judge
 
 SIZE = (640, 480)
 NAMES = ("cam0", "cam1", "cam2")
@@ -75,9 +77,9 @@ def test_names_are_matched(
     RIG_LAYOUTS["pose2sim"](tmp_path, cameras(theirs), True)
     given = read(tmp_path / "Calib.toml", ours)
     assert {n: c.camera.K[0, 0] for n, c in rig_of(given).cameras.items()} == focal
-    said = [n for n in given.notes if "matched" in n.check]
-    assert [n.check.split(", ")[1] for n in said] == ([word] if word else [])
-    assert all(bool(n.remedy) == (word == "matched by order") for n in said)  # a guess is to be looked at
+    said = [row for row in judge(given.measures) if "matched" in str(row.value)]
+    assert [str(row.value).split(":")[0] for row in said] == ([word] if word else [])
+    assert all(bool(row.remedy) == (word == "matched by order") for row in said)  # a guess is to be looked at
 
 
 @pytest.mark.parametrize(
@@ -100,7 +102,8 @@ def test_a_smaller_clip_scales_the_calibration(tmp_path: Path) -> None:
     whole, half = cameras()["cam1"], rig_of(given).cameras["cam1"].camera
     points = np.random.default_rng(0).uniform([-1, -1, 2], [1, 1, 4], (20, 3))
     np.testing.assert_allclose(half.project(points), whole.project(points) / 2, rtol=0, atol=1e-12)
-    assert any(all(w in n.text for w in ("640x480", "0.5", "320x240")) for n in given.notes)
+    scaled = judged(given.measures)["noted cam1"]
+    assert all(word in str(scaled.value) for word in ("640x480", "0.5", "320x240"))
 
 
 def test_a_cropped_clip_is_refused(tmp_path: Path) -> None:
@@ -119,7 +122,7 @@ def without_size(folder: Path, apart: float = 1.0) -> Path:
 
 def test_a_file_without_size_is_taken_at_the_clips_if_that_can_be(tmp_path: Path) -> None:
     given = read(without_size(tmp_path))
-    assert any("640x480" in n.text for n in given.notes)
+    assert "640x480" in str(judged(given.measures)["noted cam1"].value)
     with refused("principal-point-outside", "320, 240", "320x240", kind=InputError):
         read(tmp_path / "intri.yml", size=(320, 240))
 
@@ -219,8 +222,7 @@ def test_a_unit_that_the_format_leaves_open(
     rig = rig_of(given)
     assert rig.scale.metric and rig.scale.factor == 1.0
     assert rig.cameras["cam1"].camera.centre == pytest.approx([metres, 0, 0])
-    units = [n for n in given.notes if n.check == "unit of the given calibration"]
-    assert [bool(n.remedy) for n in units] == ([True] if guessed else [])
+    assert list(fired(given.measures)) == (["given-assumed unit"] if guessed else [])
 
 
 @pytest.mark.parametrize("name", ["pose2sim", "kalibr", "easymocap", "rig-caliscope"])
@@ -232,11 +234,11 @@ def test_a_unit_that_the_format_says_is_not_guessed(name: str, tmp_path: Path) -
         given = read(source)
         centres = [c.camera.centre for c in rig_of(given).cameras.values()]
         assert np.linalg.norm(centres[1] - centres[0]) == pytest.approx(apart)
-        units = [n for n in given.notes if n.check == "unit of the given calibration"]
-        assert [("given_unit" in n.remedy, "m" in n.text.split()[0]) for n in units] == [
+        units = fired(given.measures).values()
+        assert [("given_unit" in row.remedy, "m" in str(row.value).split()[0]) for row in units] == [
             (True, True)
         ] * doubted
-        assert not any(n.remedy for n in read(source, unit="m").notes)
+        assert fired(read(source, unit="m").measures) == {}
 
 
 @pytest.mark.parametrize(("apart", "metres"), [(2828.0, 2.828), (2.828, 2.828)])
@@ -248,9 +250,7 @@ def test_where_all_lenses_are_fisheyes_aniposelib_may_have_written_it(
     given = read(tmp_path / "calibration.toml")
     assert given.format == "aniposelib"
     assert rig_of(given).cameras["cam1"].camera.centre[0] == pytest.approx(metres)
-    assert ["given_unit" in n.remedy for n in given.notes if n.check == "unit of the given calibration"] == [
-        True
-    ]
+    assert "given_unit" in fired(given.measures)["given-assumed unit"].remedy
 
 
 def test_an_arbitrary_scale_stays_so_or_is_measured(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError, HealthError
 from devrf.capture.rest import Rest
 from devrf.capture.view_axes import look_at
+from devrf.pipelines.health.judge import judge
 from devrf.pipelines.joint_clips import JointViews
 from devrf.pipelines.stages import rig as rig_stage
 
@@ -309,13 +310,13 @@ def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
 
     # the stage says the same, and that both routes agree
     job = object.__new__(rig_stage._Job)
-    job.rows, job.scales = [], []
+    job.measures, job.scales = [], []
     seen = JointViews(SPEC, {}, known, known, {})
     monkeypatch.setattr(rig_stage._Job, "board_is_measured", property(lambda self: True))
     monkeypatch.setattr(rig_stage._Job, "_board_rig", lambda self, names, progress: (seen, board))
     together = job._together(swept, swept.cameras, list(truth), lambda fraction, message: None)
     assert together is not None and together[1] == graph
-    assert [row.verdict for row in job.rows] == ["ok"] * 7
+    assert [row.verdict for row in judge(job.measures)] == ["ok"] * 6
     assert job.scales[0].factor == pytest.approx(0.8, rel=4 * both.unit_std)
     whole = Rig({n: rig_stage._scaled(c, 0.8) for n, c in together[0].items()}, job.scales[0], "sweep", graph)
     write_rig(tmp_path / "rig.json", whole)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests import judged
 from tests.refused import refused
 
 from devrf.calibration.intrinsics import Intrinsics
@@ -18,15 +19,14 @@ from devrf.calibration.sweep.two_views import TwoViews, against_model, torn_apar
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place
-from devrf.capture.view_axes import look_at
-from devrf.pipelines.health.rows import HealthRow
-from devrf.pipelines.health.sweep import board_bend_rows, board_focal_row, loop_rows, mask_rows, sweep_rows
+from devrf.pipelines.health.judge import HealthRow
+from devrf.pipelines.health.sweep import sweep_measures
 
 FOCAL, SIZE = 300.0, (320, 240)  # what the corner is drawn with
 
 
 def fired(model: SweepModel) -> dict[str, HealthRow]:
-    return {row.check: row for row in sweep_rows(model) if row.verdict != "ok"}
+    return judged.fired(sweep_measures(model))
 
 
 def changed(model: SweepModel, **report) -> SweepModel:
@@ -44,7 +44,6 @@ def rotation_about_y(deg: float) -> np.ndarray:
 def test_a_healthy_sweep_fires_nothing(corner):
     assert fired(corner.model) == {}
     assert [attempt["name"] for attempt in corner.model.report["attempts"]] == ["incremental"]
-    assert mask_rows([]) == []
 
 
 # --- what pictures show ---
@@ -70,7 +69,7 @@ def test_a_flat_scene_is_named(draw, tmp_path):
         return np.array([0.5 + 2 * angle, 3.0 + 0.5 * np.sin(4 * angle), -1.5]), np.array([1.5, 0.0, -1.5])
 
     rows = fired(draw(tmp_path / "in", path=before, walls=1).recover(tmp_path / "out"))
-    assert "share of points on one plane" in rows
+    assert "sweep-flat" in rows
 
 
 @pytest.mark.full
@@ -81,8 +80,7 @@ def test_pictures_without_texture_are_named(draw, tmp_path):
         return np.full_like(picture, 120) if n in (3, 4, 5) else picture
 
     rows = fired(draw(tmp_path / "in", draw=blank).recover(tmp_path / "out"))
-    assert "static/000003.png" in rows["pictures with enough features"].remedy
-    assert "static/000004.png" in rows["registered share of the sweep"].remedy  # 6 of 9, B2's row
+    assert "static/000004.png" in rows["sweep-registered"].remedy  # 6 of 9, B2's row
 
 
 def wanderer(picture: np.ndarray, n: int) -> np.ndarray:
@@ -101,7 +99,7 @@ def wanderer(picture: np.ndarray, n: int) -> np.ndarray:
 def test_something_that_moves_is_named_and_masks_take_it_out(draw, tmp_path):
     """B11."""
     drawn = draw(tmp_path / "in", draw=wanderer, views=6)
-    row = fired(drawn.recover(tmp_path / "out"))["pictures in which something moves"]
+    row = fired(drawn.recover(tmp_path / "out"))["sweep-moving"]
     assert "calibration.static_poses.masks" in row.remedy and "static/00000" in row.remedy
     masks = tmp_path / "masks"
     (masks / "static").mkdir(parents=True)
@@ -111,7 +109,7 @@ def test_something_that_moves_is_named_and_masks_take_it_out(draw, tmp_path):
         cv2.imwrite(str(masks / f"{name}.png"), mask)
     masked = drawn.recover(tmp_path / "masked", masks=masks)
     assert not ((masked.obs_xy[:, 0] > 116) & (masked.obs_xy[:, 0] < 214)).any()
-    assert "pictures in which something moves" not in fired(masked)
+    assert "sweep-moving" not in fired(masked)
 
 
 @pytest.mark.full
@@ -132,7 +130,7 @@ def test_a_logo_is_named(draw, tmp_path):
     except HealthError as error:
         assert error.code == "sweep-under-overlay"
     else:
-        assert "pairs matched on a static overlay" in rows
+        assert "sweep-overlay" in rows
 
 
 @pytest.mark.full
@@ -151,7 +149,7 @@ def test_two_zooms_are_two_cameras_where_exif_tells(draw, tmp_path):
 def test_a_wrong_exif_focal_is_named(draw, tmp_path):
     """B17: 35 mm equivalent of another crop, 30 % too long."""
     model = draw(tmp_path / "in", exif_focal_px=1.3 * FOCAL, views=6).recover(tmp_path / "out")
-    row = fired(model)["focal length against EXIF"]
+    row = next(row for row in fired(model).values() if row.code == "sweep-focal")
     assert row.value == pytest.approx(100 * (1 - 1 / 1.3), abs=2.0)  # recovered within 2 %
     assert "390 px" in row.remedy
 
@@ -165,14 +163,14 @@ def test_out_of_time_says_what_was_left_out(draw, tmp_path):
     except HealthError as error:  # a machine so slow that nothing was mapped
         assert error.code == "sweep-out-of-time"
         return
-    row = fired(model)["time for the sweep"]
+    row = fired(model)["sweep-unfinished"]
     assert "incremental" in str(row.value) and "budget.time_minutes" in row.remedy
 
 
 def test_pairs_left_out_are_counted(corner):
     """B25 as the issue words it."""
     pairs = {"all": 4950, "wanted": 4950, "matched": 1200, "seconds": 390.0}
-    row = fired(changed(corner.model, pairs=pairs))["time for the sweep"]
+    row = fired(changed(corner.model, pairs=pairs))["sweep-unfinished"]
     assert "3750" in str(row.value) and "4950" in str(row.value)
 
 
@@ -220,7 +218,7 @@ def test_two_zooms_in_one_camera_are_named(corner):
     # One linear step towards 10 %, with the pose free to follow it: the second order is about a tenth of it
     assert zooms is not None and zooms.ratio == pytest.approx(1.1, abs=0.02)
     assert zooms.long == tuple(model.names[n] for n in (0, 2, 4, 6))
-    row = fired(faulty)["one focal length for all pictures"]
+    row = fired(faulty)["sweep-focal one for all pictures"]
     assert "static/000000.png" in row.remedy and "EXIF" in row.remedy
 
 
@@ -234,57 +232,37 @@ def test_a_rolling_shutter_is_named(corner):
             turn = rotation_about_y((-1.0 if n % 2 else 1.0) * (obs[m, 1] / camera.height - 0.5))
             pose = turn @ camera.cam_from_world
             obs[m] = replace(camera, cam_from_world=pose).project(model.xyz[model.obs_point[m]])
-    row = fired(replace(model, obs_xy=obs))["residuals by row of the picture"]
+    row = fired(replace(model, obs_xy=obs))["sweep-rolling"]
     # 5.2 px from the first row to the last: 1.5 px root mean square; a roll of the camera takes half of it
     assert row.value == pytest.approx(0.8, abs=0.3)
 
 
-@pytest.mark.parametrize(
-    ("check", "lens"),
-    [
-        ("principal point off the middle", {"cx": 30.0}),  # B14: 9 % of the width
-        ("picture radius within which the lens model is one-to-one", {"k1": -1.2}),  # B15
-        ("field of view", {"f": 0.35}),  # B16: 117 degrees
-    ],
-)
-def test_lenses_beyond_their_model_are_named(corner, check, lens):
-    def bad(camera):
-        K, distortion = camera.K.copy(), camera.distortion.copy()
-        K[0, 2] += lens.get("cx", 0.0)
-        K[:2, :2] *= lens.get("f", 1.0)
-        distortion[:2] = [lens.get("k1", distortion[0]), 0.0]
-        return replace(camera, K=K, distortion=distortion)
+def test_a_cropped_picture_is_named(corner):
+    """B14: the principal point lies 9 % of the width off the middle."""
 
-    faulty = replace(corner.model, cameras=tuple(bad(camera) for camera in corner.model.cameras))
-    assert check in fired(faulty)
+    def cropped(camera):
+        return replace(camera, K=camera.K + np.array([[0, 0, 30.0], [0, 0, 0], [0, 0, 0]]))
+
+    faulty = replace(corner.model, cameras=tuple(map(cropped, corner.model.cameras)))
+    assert "sweep-centre" in fired(faulty)
 
 
 def test_a_principal_point_that_was_put_back_is_named(corner):
     """B14: it ran away in the adjustment."""
     adjustment = {"converged": True, "principal_point_free": False, "principal_point_put_back": [1]}
-    row = fired(changed(corner.model, adjustment=adjustment))["principal point"]
+    row = fired(changed(corner.model, adjustment=adjustment))["sweep-centre"]
     assert " 5 %" in str(row.value) and "capture.board.clips.static" in row.remedy
+
+
+def test_pictures_that_had_to_be_smaller_are_named(corner):
+    row = judged.fired(sweep_measures(corner.model, side_px=720))["sweep-unfinished"]
+    assert "720" in str(row.value) and "budget.memory_gb" in row.remedy
 
 
 def test_an_adjustment_that_did_not_end_is_named(corner):
     """B18."""
     adjustment = corner.model.report["adjustment"] | {"converged": False}
-    assert "bundle adjustment" in fired(changed(corner.model, adjustment=adjustment))
-
-
-def test_focals_that_scatter_between_cameras_are_named(corner):
-    """B13: two cameras by the same tags, 12 % apart."""
-    cameras = corner.model.report["cameras"]
-    one = next(iter(cameras.values()))
-    K = np.array(one["K"])
-    K[0, 0] *= 1.12
-    start = corner.model.report["start"][0]
-    faulty = changed(
-        corner.model,
-        cameras={"1": one, "2": one | {"K": K.tolist()}},
-        start=[start | {"camera_id": 1, "label": "a"}, start | {"camera_id": 2, "label": "b"}],
-    )
-    assert "scatter of focal lengths between cameras" in fired(faulty)
+    assert "sweep-unfinished" in fired(changed(corner.model, adjustment=adjustment))
 
 
 def test_a_board_is_compared_with_its_own_device(corner):
@@ -295,70 +273,17 @@ def test_a_board_is_compared_with_its_own_device(corner):
     width, height = SIZE
     board = Intrinsics(width, height, K, np.zeros(5))
 
-    def judged(camera_id: int | None):
+    def row(camera_id: int | None):
         starts = [
             start | {"camera_id": 1, "source": "guess"},
             start | {"camera_id": camera_id, "source": "board"},
         ]
-        return board_focal_row(
-            changed(corner.model, cameras={"1": one, "2": one | {"K": K.tolist()}}, start=starts), board
-        )
+        model = changed(corner.model, cameras={"1": one, "2": one | {"K": K.tolist()}}, start=starts)
+        return judged.judged(sweep_measures(model, board))["sweep-focal the board"]
 
-    assert judged(2).value == 0 and judged(2).verdict == "ok"
-    assert judged(1).value == pytest.approx(20) and judged(1).verdict == "fail"  # 1 / 1.25 of the board's
-    assert judged(None).value is None and judged(None).verdict == "warn"
-
-
-@pytest.mark.parametrize("k1, fires", [(0.0, False), (-0.02, False), (-0.3, True)])
-def test_a_lens_corrected_in_one_mode_only_is_named(corner, k1, fires):
-    """A21: the sweep as made is straight, the board's clip is not. Half-way to the corners k1 r² = -3.3 %."""
-    start = corner.model.report["start"][0] | {"source": "board"}
-    straight = changed(
-        replace(
-            corner.model, cameras=tuple(replace(c, distortion=np.zeros(5)) for c in corner.model.cameras)
-        ),
-        start=[start],
-    )
-    board = Intrinsics(
-        *SIZE, np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]]), np.array([k1, 0, 0, 0, 0])
-    )
-    rows = board_bend_rows(straight, board)
-    assert bool(rows) == fires
-    if fires:
-        assert "-3.3 %" in str(rows[0].value)
-    assert board_bend_rows(changed(straight, start=[start | {"camera_id": None}]), board) == []
-
-
-def test_an_open_loop_is_named():
-    """B19: a full circle whose end sees what its beginning saw, but shares no point with it."""
-    n, rng = 30, np.random.default_rng(0)
-    xyz = rng.uniform(-1, 1, (600, 3))
-    cameras = []
-    for angle in np.linspace(0, 2 * np.pi, n, endpoint=False):
-        centre = 4 * np.array([np.cos(angle), 0, np.sin(angle)])
-        K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
-        cameras.append(Camera(*SIZE, K, look_at(centre, np.zeros(3), (0.0, -1.0, 0.0))))
-
-    def sweep(closed: bool) -> SweepModel:
-        image, point = [], []
-        # each point is followed through five pictures, over the end where it is closed
-        for p in range(len(xyz)):
-            for i in range(p % n, p % n + 5):
-                if closed or i < n:
-                    image.append(i % n)
-                    point.append(p)
-        i, p = np.array(image), np.array(point)
-        xy = np.array([cameras[a].project(xyz[b]) for a, b in zip(i, p, strict=True)])
-        names = tuple(f"static/{k:06d}.png" for k in range(n))
-        some = np.zeros(len(xyz))
-        nothing = np.zeros((len(i), 128), np.uint8)
-        return SweepModel(
-            names, tuple(cameras), xyz, np.zeros((600, 3), np.uint8), some, p, i, xy, nothing, {}
-        )
-
-    assert [row.verdict for row in loop_rows(sweep(closed=True))] == ["ok"]
-    (row,) = loop_rows(sweep(closed=False))
-    assert row.verdict == "warn" and "static/000000.png and static/000029.png" in row.remedy
+    assert row(2).value == 0 and row(2).verdict == "ok"
+    assert row(1).value == pytest.approx(20) and row(1).verdict == "fail"  # 1 / 1.25 of the board's
+    assert row(None).value is None and row(None).verdict == "warn"
 
 
 # --- pairs, models, agreement ---
@@ -387,7 +312,7 @@ def test_views_of_two_sides_matched_as_one_are_named(corner):
     found = against_model(views(other), cameras)
     assert found["contradicting"][0]["names"] == [model.names[0], model.names[5]]
     faulty = changed(model, verified_pairs=model.report["verified_pairs"] | found)
-    row = fired(faulty)["strong pairs that contradict the model"]
+    row = fired(faulty)["sweep-contradicts"]
     assert "static/000000.png - static/000005.png" in row.remedy
 
 
@@ -414,17 +339,19 @@ def test_a_film_whose_neighbours_lie_apart_in_the_model_is_torn(corner):
 
     assert torn(None) == [] and torn(5) == []  # far pictures may show two places that look the same
     assert torn(1) == [list(model.names[:2])]
-    row = fired(changed(model, torn=torn(1)))["neighbouring pictures that contradict the model"]
-    assert row.value == 1 and "static/000000.png - static/000001.png" in row.remedy
+    row = fired(changed(model, torn=torn(1)))["sweep-contradicts"]
+    assert str(row.value).startswith("1 ") and "static/000000.png - static/000001.png" in row.remedy
 
 
 def test_small_and_many_models_are_named(corner):
     """B2, B3."""
     small = changed(corner.model, registered=2, given=24, unregistered=["static/000007.png"])
-    row = fired(small)["registered share of the sweep"]
+    row = fired(small)["sweep-registered"]
     assert row.verdict == "fail"
     lost = ["a.png", "b.png"]
     many = changed(corner.model, models=[61, 22, 9], other_models=[["a.png"], ["b.png"]], unregistered=lost)
-    row = fired(many)["one model"]
+    row = fired(many)["sweep-in-parts"]
     assert "61, 22, 9" in str(row.value) and "a.png" in row.remedy
-    assert "one model" not in fired(changed(corner.model, models=[61, 2], other_models=[["a.png", "b.png"]]))
+    assert "sweep-in-parts" not in fired(
+        changed(corner.model, models=[61, 2], other_models=[["a.png", "b.png"]])
+    )

@@ -100,7 +100,7 @@ def test_clipped_share():
     assert clipped_share(picture) == 0.25
     assert highlight_faults([0.005, 0.009, 0.5]) == []  # a reflection that passes by
     (fault,) = highlight_faults([0.05, 0.06, 0.07])
-    assert fault.found.startswith("6 %") and fault.remedy
+    assert fault.code == "highlights" and str(fault.value).startswith("6 %")
 
 
 @pytest.mark.parametrize("role", ["sweep", "camera", "board"])
@@ -113,7 +113,7 @@ def test_clipped_clips_and_photos_are_named(make_clip, tmp_path, role):
     write_picture(tmp_path / "in" / "0.png", picture)
     photos = extract_folder(tmp_path / "in", tmp_path / "out", "static", role, "in")
     for found in (got, photos) if role == "sweep" else (got,):
-        texts = [fault.found for fault in found.faults if fault.check == "highlights"]
+        texts = [str(fault.value) for fault in found.faults if fault.code == "highlights"]
         assert bool(texts) == (role != "board") and all(text.startswith("33 %") for text in texts)
 
 

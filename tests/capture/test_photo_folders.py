@@ -23,19 +23,19 @@ def test_what_is_not_read_is_counted_by_kind(tmp_path):
     # a.heic is there as JPEG
     assert kinds == {"HEIC": ["c.heic", "d.HEIC"], "JPEG XL": ["e.jxl"], "AVIF": ["f.avif"]}
     (fault,) = unread_faults(tmp_path)
-    assert all(word in fault.found for word in ("4 beside 2", "2 HEIC", "1 JPEG XL", "c.heic"))
+    assert all(word in str(fault.value) for word in ("4 beside 2", "2 HEIC", "1 JPEG XL", "c.heic"))
 
 
 def test_folders_of_a_card_are_one(tmp_path):
     touch(tmp_path, "100CANON/IMG_0099.JPG", "101CANON/IMG_0001.JPG", "101CANON/IMG_0002.HEIC", "MISC/x.jpg")
     assert [p.name for p in list_pictures(tmp_path)] == ["IMG_0099.JPG", "IMG_0001.JPG"]
-    assert [f.found.split()[0] for f in unread_faults(tmp_path)] == ["1", "1"]  # HEIC; MISC
+    assert [str(f.value).split(": ")[1][0] for f in unread_faults(tmp_path)] == ["1", "1"]  # HEIC; MISC
 
 
 def test_photos_in_folders_inside_are_said(tmp_path):
     touch(tmp_path, "a.jpg", "more/b.jpg", "more/c.jpg")
     (fault,) = unread_faults(tmp_path)
-    assert "2 in more" in fault.found and list_pictures(tmp_path) == [tmp_path / "a.jpg"]
+    assert "2 in more" in str(fault.value) and list_pictures(tmp_path) == [tmp_path / "a.jpg"]
 
 
 def test_a_folder_of_folders_names_them_with_their_photos(tmp_path):

@@ -56,8 +56,8 @@ def test_photos_that_hold_linear_light_are_named(tmp_path):
     chunk.add(b"gAMA", struct.pack(">I", 100_000))
     PICTURE.save(folder / "d.png", pnginfo=chunk)
     (fault,) = extract_folder(folder, tmp_path, "static", "sweep", "in").faults
-    assert fault.check == "transfer curve"
-    assert all(named in fault.found for named in ("2 of 4", "gamma of 1", "sRGB", "c.tif, d.png"))
+    assert (fault.code, fault.why) == ("coding", "linear")
+    assert all(named in str(fault.value) for named in ("2 of 4", "gamma of 1", "sRGB", "c.tif, d.png"))
 
 
 def test_photos_are_called_by_their_names(tmp_path):

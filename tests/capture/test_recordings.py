@@ -30,7 +30,7 @@ def test_chapters_by_their_names(tmp_path, names):
     for part in parts:
         assert chapters(part) == parts
     (fault,) = chapter_faults(parts[0])
-    assert names[1] in fault.found and join_command(parts) in fault.remedy
+    assert names[1] in str(fault.value) and fault.facts["command"] == join_command(parts)
 
 
 def recording(path: Path, start_s: float, pictures: int) -> Path:

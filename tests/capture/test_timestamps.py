@@ -69,7 +69,7 @@ def test_few_pictures_over_a_long_time_need_little_memory():
 def test_lengths_of_pictures_and_sound(pictures_s, sound_s, named):
     faults = length_faults(pictures_s, sound_s)
     assert len(faults) == (named is not None)
-    assert all(named in f"{f.found} {f.remedy}" for f in faults)
+    assert all(named in f"{f.value} {f.facts}" for f in faults)
 
 
 @pytest.mark.parametrize(("filmed", "factor"), [("240.000000", 9.6), ("25", None), ("fast", None)])

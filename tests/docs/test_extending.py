@@ -17,7 +17,7 @@ from tests.docs.pages import REPOSITORY, blocks
 from devrf.flow.store import read_flows
 
 PAGE = REPOSITORY / "docs" / "extending.md"
-INSERT = re.compile(r"^In `(\S+)`, before `(.+?)`:\n\n```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+INSERT = re.compile(r"^In `(\S+)`, before `(.+?)`:\n\n```\w+\n(.*?)^```", re.MULTILINE | re.DOTALL)
 STEP = 4  # pixels to the right per time
 
 
@@ -105,7 +105,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(REPOSITORY / "pipelines", folder / "devrf" / "pipelines")
     write_files(folder / "devrf")
     insertions = INSERT.findall(PAGE.read_text(encoding="utf-8"))
-    assert len(insertions) == 3
+    assert len(insertions) == 4
     for file, before, text in insertions:
         path = folder / "devrf" / file
         source = path.read_text(encoding="utf-8")
@@ -127,7 +127,7 @@ def test_the_stage(
     assert sheet is not None and sheet.shape == (2 * 90, 8 * 120, 3)
     assert sheet[45].reshape(8, 120, 3).std(axis=1).min() > 5, "a picture is missing"
     (row,) = json.loads((scene.parent / "run" / "contact_sheet" / "health.json").read_text())["rows"]
-    assert row["check"] == "brightness of the sweep" and row["verdict"] == "ok"
+    assert row["code"] == "sweep-dark" and row["verdict"] == "ok"
     narrow = ("--set", "contact_sheet.width_px=64")
     (reason,) = why(devrf_process, scene, "contact_sheet", *narrow)
     assert reason.startswith("contact_sheet.width_px: ") and "120" in reason and "64" in reason

@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.judged import named
 from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
@@ -63,10 +64,9 @@ def test_the_gap_is_found_and_told(context: StageContext):
     cam1 = read_flows(context.out)["cam1"]
     assert cam1.index.tolist() == [11, 12, 14]
     assert cam1.valid[:2].any(axis=(1, 2)).all() and not cam1.valid[2].any()
-    by_check = {row.check: row for row in context.health}
-    gaps = by_check["gaps in the clips"]
-    assert gaps.verdict == "warn" and "cam1: 1" in str(gaps.value)
-    slides = next(row for row in context.health if row.check.startswith("movement of the whole picture"))
+    gaps = named(context.health)["frames-dropped cam1"]
+    assert gaps.verdict == "warn" and str(gaps.value).startswith("1 gaps")
+    slides = next(row for row in context.health if row.code == "flow-shake")
     assert slides.value == pytest.approx(STEP, abs=0.1)  # the cameras are fixed and all they see moves
     assert all(row.verdict == "ok" for row in context.health if row not in (gaps, slides))
 
@@ -98,7 +98,7 @@ def test_flow_of_the_data_set_is_used(context: StageContext, scale: float):
     assert cam0.index.tolist() == [11, 12, 13, 14] and cam0.flow.shape == (4, 40, 64, 2)
     assert not cam0.valid[:, :10].any() and cam0.valid[:, 10:].all()
     np.testing.assert_array_equal(cam0.flow[:, 12:], np.broadcast_to([-STEP / 2, 0], (4, 28, 64, 2)))
-    assert any(row.check == "flow" and "given" in str(row.value) for row in context.health)
+    assert "given" in str(named(context.health)["noted flow"].value)
 
 
 def test_flow_is_computed_where_the_data_set_does_not_bring_all(context: StageContext):
@@ -117,9 +117,10 @@ def test_mixed_up_frames_fail_the_checks(context: StageContext):
             str(context.run_dir / f"cam0{n}.png"), rng.integers(0, 255, (80, 128, 3)).astype(np.uint8)
         )
     flow.run(context)
-    failed = [row for row in context.health if row.verdict != "ok" and "cam0" in row.check]
-    assert any("can be followed" in row.check for row in failed)
-    assert any("warping" in row.check for row in failed) and all(row.remedy for row in failed)
+    failed = [row for row in context.health if row.verdict != "ok" and row.about == "cam0"]
+    assert {"flow-consistent", "flow-warping"} <= {row.code for row in failed} and all(
+        row.remedy for row in failed
+    )
 
 
 def test_flow_of_a_first_frame_is_ignored_and_said(context: StageContext):
@@ -129,8 +130,7 @@ def test_flow_of_a_first_frame_is_ignored_and_said(context: StageContext):
     write_scene(context.run_dir / "scene", replace(scene, dynamic=tuple(first)))
     flow.run(context)
     assert read_flows(context.out)["cam0"].index.tolist() == [11, 12, 13, 14]
-    by_check = {row.check: row for row in context.health}
-    assert str(by_check["flow of a first frame"].value).startswith("cam1, cam0: ")
+    assert str(named(context.health)["noted flow"].value).endswith(": cam1, cam0")
 
 
 class Counted(DisFlow):

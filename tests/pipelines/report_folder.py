@@ -210,5 +210,5 @@ def _write_evaluate(run: Path, rng: np.random.Generator) -> None:
 
 
 def _row(verdict: str) -> dict:
-    return {"check": f"a check {NASTY}", "value": 0.5, "unit": "px", "warn": 0.4, "fail": None,
+    return {"code": "x", "check": f"a check {NASTY}", "value": 0.5, "unit": "px", "warn": 0.4, "fail": None,
             "verdict": verdict, "remedy": "" if verdict == "ok" else "Hold the camera still."}  # fmt: skip

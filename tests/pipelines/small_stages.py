@@ -4,10 +4,10 @@ from collections.abc import Callable
 from operator import attrgetter
 from pathlib import Path
 
+from devrf.capture.measure import Measure
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE
-from devrf.pipelines.health.rows import row
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice, Standing
 from devrf.pipelines.runner.run import Run
@@ -30,7 +30,7 @@ def write(text: str) -> Callable[[StageContext], None]:
         context.progress(0.5, "half")
         (context.out / "sub").mkdir()
         (context.out / "sub" / "result.txt").write_text(text)
-        context.health.append(row("registered", 1.0, "", fail=0.4, remedy="Film more slowly."))
+        context.measures.append(Measure("sweep-overlay", 0.0))
 
     return work
 

@@ -23,7 +23,6 @@ from devrf.pipelines.budget.at_once import BASE, fitting, flow_at_once, register
 from devrf.pipelines.budget.raw_files import ingested_at_once, photos_too_large
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.static_poses import coarser_rows
 
 GB = 10**9
 LARGE = 3840, 2160
@@ -89,8 +88,6 @@ def test_the_sweep_is_reduced_only_where_not_one_picture_fits() -> None:
     found = [swept_at_once(within(base + mb * 1e6), sweep) for mb in (99 * 8, 2.5 * 99, 60, 40, 1)]
     assert found == [(8, 1280), (2, 1280), (1, 960), (1, 720), (1, 540)]
     assert swept_at_once(within(None), sweep) == (8, 1280)
-    (row,) = coarser_rows(720)
-    assert row.verdict == "warn" and row.value == 720 and coarser_rows(1280) == []
 
 
 def test_small_pictures_of_fixed_cameras_are_doubled_before_they_are_searched() -> None:

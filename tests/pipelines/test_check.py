@@ -21,20 +21,14 @@ from devrf.capture.session import CaptureSession
 from devrf.capture.survey import Look, look_at
 from devrf.capture.video import VideoReader
 from devrf.capture.video_writer import write_video
-from devrf.pipelines.check.boards import board_rows
-from devrf.pipelines.check.clips import camera_rows, planned_frames, see_sweep
-from devrf.pipelines.check.clocks import clock_rows
+from devrf.pipelines.check.boards import board_measures
+from devrf.pipelines.check.clips import camera_measures, planned_frames, see_sweep
+from devrf.pipelines.check.clocks import clock_measures
 from devrf.pipelines.check.command import WORDS, left_out
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.judge import judge
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
-
-
-def verdict(rows: list[HealthRow], check: str) -> str:
-    found = [row for row in rows if check in row.check]
-    assert found, [row.check for row in rows]
-    return found[0].verdict
 
 
 def view(room: np.ndarray, objects: np.ndarray, x: float, light: float = 1.0) -> np.ndarray:
@@ -97,7 +91,7 @@ def test_a_quiet_no_go_says_what_is_wrong(devrf: Callable, tmp_path: Path) -> No
     (tmp_path / "scene.yaml").write_text("name: x\npreset: tiny\ncapture: {static: sweep.mp4}\n")
     result = devrf("check", tmp_path, "--quiet")
     assert result.code == 3 and result.out == "", result.said
-    assert re.search(rf"{WORDS['fail']}  sweep: picture of the sweep: black; .*\[check-failed\]", result.err)
+    assert re.search(rf"{WORDS['fail']}  sweep: .*black; .*\[check-failed\]", result.err)
     assert "[check-no-go]" in result.err and "disk" not in result.err
 
 
@@ -147,10 +141,11 @@ def clip(path: Path, pictures: list[np.ndarray]) -> Look:
 
 
 def sweep_verdicts(path: Path, pictures: list[np.ndarray]) -> dict[str, str]:
-    """The last words of each row's check -> its verdict."""
+    """The worst verdict of each code."""
     seen = see_sweep(clip(path, pictures), no_progress)
     assert len(seen.frames.used) == len(pictures)
-    return {row.check.rsplit(" ", 1)[-1]: row.verdict for row in seen.rows}
+    rows = sorted(judge(seen.measures), key=lambda row: row.verdict == "fail")
+    return {row.code: row.verdict for row in rows}
 
 
 def test_a_walk_shows_depth_and_a_turn_a_tripod_and_a_lens_cap_do_not(
@@ -158,12 +153,12 @@ def test_a_walk_shows_depth_and_a_turn_a_tripod_and_a_lens_cap_do_not(
 ) -> None:
     room, posters = textures(0), textures(1)
     walk = [view(room, posters, 6.0 * n) for n in range(10)]
-    assert sweep_verdicts(tmp_path / "walk.mp4", walk) == {"camera": "ok", "overlap": "ok", "depth": "ok"}
+    assert sweep_verdicts(tmp_path / "walk.mp4", walk) == {"sweep-overlap": "ok", "sweep-depth": "ok"}
     turn = [turned(room, 3.0 * n - 15) for n in range(10)]
-    assert sweep_verdicts(tmp_path / "turn.mp4", turn) == {"camera": "ok", "overlap": "ok", "depth": "fail"}
+    assert sweep_verdicts(tmp_path / "turn.mp4", turn) == {"sweep-overlap": "ok", "sweep-depth": "fail"}
     stood = sweep_verdicts(tmp_path / "stood.mp4", [view(room, posters, 20.0)] * 6)
-    assert stood == {"camera": "fail", "overlap": "ok", "depth": "fail"}
-    assert sweep_verdicts(tmp_path / "cap.mp4", [np.zeros_like(walk[0])] * 6) == {"sweep": "fail"}
+    assert stood == {"sweep-overlap": "ok", "sweep-depth": "fail"}
+    assert sweep_verdicts(tmp_path / "cap.mp4", [np.zeros_like(walk[0])] * 6) == {"sweep-blurred": "fail"}
 
 
 def test_a_gap_is_named_unless_a_picture_between_closes_it(textures: Callable) -> None:
@@ -192,9 +187,8 @@ def test_a_fixed_camera_is_judged(tmp_path: Path, textures: Callable) -> None:
         name: str, pictures: list[np.ndarray], rest: Rest = "start", sees: list = sweep
     ) -> list[str]:
         """Of movement, subject, rest, overlap with the sweep."""
-        return [
-            row.verdict for row in camera_rows("cam1", clip(tmp_path / f"{name}.mp4", pictures), rest, sees)
-        ]
+        look = clip(tmp_path / f"{name}.mp4", pictures)
+        return [row.verdict for row in judge(camera_measures("cam1", look, rest, sees))]
 
     clips = {"good": [here] * 6 + [moved] * 12, "early": [here, here, moved, moved] * 5, "still": [here] * 12}
     assert verdicts("good", clips["good"]) == ["ok", "ok", "ok", "ok"]
@@ -215,8 +209,8 @@ def test_a_fixed_camera_is_judged(tmp_path: Path, textures: Callable) -> None:
 def test_a_clip_that_the_scene_does_not_name_is_said(tmp_path: Path) -> None:
     for name in ("static.mp4", "cam2.mp4"):
         (tmp_path / name).touch()
-    (found,) = left_out(CaptureSession(static=tmp_path / "static.mp4"), tmp_path)
-    assert found.value == "cam2.mp4" and found.verdict == "ok"
+    (row,) = judge(left_out(CaptureSession(static=tmp_path / "static.mp4"), tmp_path))
+    assert str(row.value).endswith(": cam2.mp4") and row.verdict == "ok"
     (tmp_path / "cam2.mp4").unlink()
     assert left_out(CaptureSession(static=tmp_path / "static.mp4"), tmp_path) == []
 
@@ -235,10 +229,10 @@ def test_a_board_clip_without_its_board_is_a_no_go(tmp_path: Path, textures: Cal
         paths[name] = tmp_path / f"{name}.mp4"
         write_video(paths[name], pictures, 25.0)
     session = CaptureSession(board_clips=paths, joint_clips={"cam2": paths["cam2"]})
-    rows = board_rows(session, spec, no_progress)
+    rows = judge(board_measures(session, spec, no_progress))
     assert [row.verdict for row in rows] == ["ok", "warn", "fail", "warn"]
     assert rows[2].value == rows[3].value == "never"
-    assert rows[2].check.startswith("share of the board clip of cam2 ")
+    assert [row.about for row in rows] == ["cam0", "cam1", "cam2", "cam2"]
 
 
 def charuco_picture() -> np.ndarray:
@@ -259,8 +253,8 @@ def test_silent_clips_in_which_nothing_moves_have_no_clock(tmp_path: Path, textu
     moving = {n: planned_frames(look_at(path, 3), "camera", path.name) for n, path in cameras.items()}
     clips = {name: path.name for name, path in cameras.items()}
     config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4", "cameras": clips}})
-    rows = clock_rows(config, CaptureSession(cameras=cameras), moving, {})
-    assert any(row.verdict == "fail" and row.check.startswith("confidence") for row in rows)
+    rows = judge(clock_measures(config, CaptureSession(cameras=cameras), moving, {}))
+    assert any(row.verdict == "fail" and row.code == "clock-unknown" for row in rows)
 
 
 @pytest.mark.parametrize("disk_gb", [None, 0.001])

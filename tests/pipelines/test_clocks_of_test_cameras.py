@@ -11,7 +11,8 @@ import pytest
 from devrf.calibration.clocks.equations import Clock
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks import clock_dict
-from devrf.pipelines.health.training import unknown_clock_rows
+from devrf.pipelines.health.judge import judge
+from devrf.pipelines.health.training import moved_clock_measures
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import deformation
 from devrf.pipelines.stages.deformation import unknown_test_clocks
@@ -64,9 +65,9 @@ def test_offsets_of_test_clocks_are_said(tmp_path: Path) -> None:
         "one": {"std_s": 0.03, "offset_s": 0.028, "why": ""},
         "two": {"std_s": None, "offset_s": None, "why": "not clear"},
     }
-    (row,) = unknown_clock_rows(clocks)
-    assert row.verdict == "warn" and row.value == pytest.approx(28) and row.check.endswith("(one)")
-    assert unknown_clock_rows({"two": clocks["two"]}) == [] == unknown_clock_rows({})
+    (row,) = judge(moved_clock_measures({"one": 0.028, "two": None}, "test"))
+    assert row.verdict == "warn" and row.value == pytest.approx(28) and row.about == "one"
+    assert "test_moving_retimed" in row.remedy and moved_clock_measures({"two": None}, "test") == []
     assert len(unknown_clock_notes(clocks, ["cam0", "two", "one"])) == 2
     assert "+28 ms" in unknown_clock_notes(clocks, ["one"])[0]
     assert unknown_clocks(tmp_path) == {}

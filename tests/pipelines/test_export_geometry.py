@@ -231,7 +231,15 @@ def test_an_extra_that_is_missing(run_dir: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_run_that_is_not_finished_or_not_healthy(run_dir: Path) -> None:
-    row = {"check": "sweep registered", "value": 0.1, "unit": "", "warn": 0.9, "fail": 0.5, "verdict": "fail"}
+    row = {
+        "code": "x",
+        "check": "sweep registered",
+        "value": 0.1,
+        "unit": "",
+        "warn": 0.9,
+        "fail": 0.5,
+        "verdict": "fail",
+    }
     row["remedy"] = "film slower"
     (run_dir / "scene" / "health.json").write_text(json.dumps({"rows": [row]}))
     _, facts = exported(run_dir, "ply", times="1")

@@ -217,6 +217,7 @@ def test_a_film_replaces_nothing_but_a_film(scene: Path) -> None:
 def test_runs_that_are_not_whole_are_shown_as_such(scene: Path, capsys: pytest.CaptureFixture) -> None:
     run = scene.parent / "run"
     row = {
+        "code": "x",
         "check": "loss",
         "value": 9.0,
         "unit": "",

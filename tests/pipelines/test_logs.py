@@ -20,7 +20,7 @@ from devrf.capture.errors import CaptureError
 from devrf.pipelines import console, logs
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import DONE, FAILED
-from devrf.pipelines.health.rows import row
+from devrf.pipelines.health.judge import HealthRow
 from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, Events
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
@@ -39,7 +39,7 @@ def test_what_names_say_does_not_steer_a_terminal(folder: Path, capsys: pytest.C
         talk.say(steers)
         talk.detail(steers)
         talk.error(steers, "code")
-        talk.health("second", [row(steers, 1.0, "", fail=2.0, remedy=steers)])
+        talk.health("second", [HealthRow("noted", steers, steers, "", None, None, "fail", steers)])
         print_table(talk, steers, [steers], [[steers]])
         said = capsys.readouterr()
     log = (folder / LOG_FILE).read_text()
@@ -66,7 +66,7 @@ def test_a_run_tells_programs_what_happened(folder: Path) -> None:
     (decided,) = (e for e in first if e["event"] == "decision")
     assert (decided["stage"], decided["text"]) == ("second", "fewer voxels: the pictures show no more")
     (health,) = (e for e in first if e["event"] == "health" and e["stage"] == "second")
-    assert health["check"] == "registered" and health["value"] == 1.0 and health["verdict"] == "ok"
+    assert health["code"] == "sweep-overlay" and health["value"] == 0.0 and health["verdict"] == "ok"
     (started,) = (e for e in second if e["event"] == "stage_started")
     assert (started["stage"], started["why"]) == ("other", ["reconstruct.seed: 1 is now 2"])
     (finished,) = (e for e in second if e["event"] == "stage_finished")

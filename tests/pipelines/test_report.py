@@ -184,7 +184,15 @@ def test_a_stage_without_a_stamp_is_not_named_as_a_source(full_run, tmp_path):
 
 
 def test_counts_have_no_decimals_and_measures_keep_theirs(tmp_path):
-    counted = {"check": "views", "value": 147.0, "unit": "", "warn": 200.0, "fail": 0.25, "verdict": "warn"}
+    counted = {
+        "code": "x",
+        "check": "views",
+        "value": 147.0,
+        "unit": "",
+        "warn": 200.0,
+        "fail": 0.25,
+        "verdict": "warn",
+    }
     rows = [counted, counted | {"check": "error", "value": 0.5}]
     write_json(tmp_path / "rig/health.json", {"stage": "rig", "rows": rows})
     _, page = _page(tmp_path)

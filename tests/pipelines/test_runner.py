@@ -23,10 +23,10 @@ from tests.refused import refused
 from tests.waiting import wait_for
 
 from devrf.capture.errors import CaptureError, HealthError, InputError, OutOfTime
+from devrf.capture.measure import Measure
 from devrf.pipelines.cli import render
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
-from devrf.pipelines.health.rows import row
 from devrf.pipelines.run_command import say_where
 from devrf.pipelines.runner import plan
 from devrf.pipelines.runner.execute import execute
@@ -262,14 +262,14 @@ def test_what_a_native_program_said_is_kept(folder: Path, capsys: pytest.Capture
 
 def unhealthy(context: StageContext) -> None:
     write("poor")(context)
-    context.health.append(row("registered", 0.1, "", fail=0.4, remedy="Film more slowly."))
+    context.measures.append(Measure("sweep-error", 9.0))
 
 
 def test_a_failed_row_stops_the_run_and_keeps_the_result(folder: Path, capsys: pytest.CaptureFixture) -> None:
     run = job(folder, small_stages(second=unhealthy))
     assert execute(run) == UNHEALTHY
     assert run.executed == ["first", "second"]
-    assert "Film more slowly." in capsys.readouterr().err
+    assert "lock focus and zoom." in capsys.readouterr().err
     again = job(folder, small_stages(second=unhealthy))
     assert execute(again) == UNHEALTHY  # refused again, without doing it again
     assert again.executed == []

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.judged import fired, judged, named
 from tests.refused import refused
 
 from devrf.calibration.bounds import scene_bounds
@@ -26,7 +27,7 @@ from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.scene import Scene, load_image
 from devrf.pipelines import captured_scene
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.box import box_health
+from devrf.pipelines.health.box import box_measures
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import scene as stage
 
@@ -34,7 +35,6 @@ WIDTH, HEIGHT, FOCAL = 64, 48, 70.0
 BALL = np.array([0.1, 0.0, 0.05])
 RADIUS = 0.3
 GREEN = np.array([40, 170, 80], np.uint8)
-NOT_SWEPT = "share of the box that the sweep did not come near"
 
 
 def look_at(angle: float, height: float = 0.5, distance: float = 2.5) -> Camera:
@@ -134,7 +134,7 @@ class Session:
         out.mkdir()
         context = StageContext(config, self.folder, self.run, out, lambda done, text: None, "cpu")
         stage.run(context)
-        return read_scene(out), {row.check: row for row in context.health}, out
+        return read_scene(out), named(context.health), out
 
 
 @pytest.fixture
@@ -147,11 +147,7 @@ def test_mattes_of_every_picture_make_the_background_plain(session: Session, met
     session.write_mattes("mattes", "static", "cam0")
     scene, rows, out = session.scene("mattes" if method == "given" else "chroma")
     assert scene.background == "white"
-    assert all(row.verdict == "ok" for name, row in rows.items() if name != "what moves"), rows
-    if method == "chroma":  # found to the levels that the pictures vary by
-        found = re.findall(r"(static|cam0) #(..)(..)(..)", rows["the screen's colour"].value)
-        assert [name for name, *_ in found] == ["static", "cam0"]
-        assert all(np.abs([int(x, 16) for x in rgb] - GREEN.astype(int)).max() <= 3 for _, *rgb in found)
+    assert all(row.verdict == "ok" for name, row in rows.items() if name != "box-unexplained"), rows
     for frame in scene.frames:
         true = session.true[f"frames/{frame.camera_name}/{frame.path.name}"]
         assert frame.matte is not None
@@ -174,7 +170,6 @@ def test_mattes_of_the_moving_cameras_leave_the_surroundings(session: Session) -
     session.write_mattes("mattes", "cam0")
     scene, rows, _ = session.scene("mattes")
     assert scene.background == "shell"
-    assert "mattes" in rows
     assert all(f.matte is None for f in scene.static) and all(f.matte is not None for f in scene.dynamic)
     for frame in (scene.static[0], scene.dynamic[0]):
         np.testing.assert_array_equal(load_image(frame, 1.0, "shell"), read_pixels(frame.path))
@@ -183,7 +178,7 @@ def test_mattes_of_the_moving_cameras_leave_the_surroundings(session: Session) -
 def test_without_mattes_nothing_changes(session: Session) -> None:
     scene, rows, out = session.scene(None)
     assert scene.background == "shell" and all(f.matte is None for f in scene.frames)
-    assert not (out / "mattes").exists() and "mattes" not in rows
+    assert not (out / "mattes").exists()
 
 
 def test_swapped_mattes_are_used_and_said(session: Session) -> None:
@@ -191,7 +186,7 @@ def test_swapped_mattes_are_used_and_said(session: Session) -> None:
     for file in (session.folder / "mattes" / "cam0").glob("*.png"):
         write_png(file, 255 - read_pixels(file)[..., 0])
     scene, rows, _ = session.scene("mattes")
-    row = rows["mattes' black and white"]
+    row = rows["matte-empty"]
     assert row.verdict == "warn" and "cam0" in row.value and "static" not in row.value
     assert "capture.mattes.inverted" in row.remedy
     true = session.true["frames/cam0/000000.png"]
@@ -200,26 +195,14 @@ def test_swapped_mattes_are_used_and_said(session: Session) -> None:
     np.testing.assert_array_equal(read_pixels(matte)[..., 0] > 127, true)
 
 
-def test_bad_mattes_have_rows(session: Session) -> None:
-    session.write_mattes("holes", "static", "cam0")
-    for file in (session.folder / "holes" / "cam0").glob("*.png"):
-        matte = read_pixels(file)[..., 0]
-        inner = cv2.erode(matte, np.ones((9, 9)))
-        v, u = np.argwhere(inner > 0).mean(0).round().astype(int)
-        matte = cv2.dilate(matte, np.ones((7, 7)))
-        matte[v - 2 : v + 2, u - 2 : u + 2] = 0
-        write_png(file, matte)
-    rows = session.scene("holes")[1]
-    assert rows["holes in mattes (cam0)"].verdict == "warn"
-    assert rows["rim of the background's colour (cam0)"].verdict == "warn"
-    session.write_mattes("empty", "static", "cam0")
-    for file in (session.folder / "empty" / "cam0").glob("*.png"):
-        write_png(file, np.zeros((HEIGHT, WIDTH), np.uint8))
-    for file in (session.folder / "empty" / "static").glob("*.png"):
-        write_png(file, np.full((HEIGHT, WIDTH), 255, np.uint8))
-    rows = session.scene("empty")[1]
-    assert rows["pictures without a subject (cam0)"].verdict == "warn"
-    assert rows["subject's share of the picture (sweep)"].verdict == "warn"
+@pytest.mark.parametrize(("name", "level"), [("cam0", 0), ("static", 255)])
+def test_mattes_that_tell_nothing_have_a_row(session: Session, name: str, level: int) -> None:
+    session.write_mattes("mattes", "static", "cam0")
+    for file in (session.folder / "mattes" / name).glob("*.png"):
+        write_png(file, np.full((HEIGHT, WIDTH), level, np.uint8))
+    about = "sweep" if name == "static" else name
+    row = session.scene("mattes")[1][f"matte-empty {about}"]
+    assert (row.verdict, row.value) == ("warn", 1.0)
 
 
 @pytest.mark.full
@@ -227,12 +210,11 @@ def test_a_common_colour_is_no_screen_unless_it_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session = Session(tmp_path, monkeypatch, behind=np.array([170, 130, 30], np.uint8))
-    row = session.scene("chroma")[1]["the screen's colour"]
+    row = session.scene("chroma")[1]["screen-colour"]
     assert row.verdict == "fail" and isinstance(row.value, str)
     assert f"({row.value})" in row.remedy
     assert re.fullmatch("static #[0-9a-f]{6}, cam0 #[0-9a-f]{6}", row.value)
-    named = session.scene({"method": "chroma", "colour": "#aa821e"})[1]["the screen's colour"]
-    assert named.verdict == "ok"
+    assert "screen-colour" not in session.scene({"method": "chroma", "colour": "#aa821e"})[1]
 
 
 def test_a_missing_matte_is_named(session: Session) -> None:
@@ -254,11 +236,10 @@ def test_a_subject_that_leaves_the_box_is_counted(tmp_path: Path, monkeypatch: p
     config = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}, "mattes": "mattes"}
     scene = session.scene("mattes")[0]
     mattes = _mattes(session, config, scene)
-    leaving = box_health(bounds, {}, mattes, scene.dynamic)[0]
-    assert leaving.check == "pictures in which the subject leaves the box (cam0)"
-    assert leaving.verdict == "warn" and isinstance(leaving.value, float) and 1 <= leaving.value < 6
+    leaving = fired(box_measures(bounds, {}, mattes, scene.dynamic))["box-cuts cam0"]
+    assert re.search(r" in [1-5] of 6 pictures", str(leaving.value)) and "scene/mattes/cam0" in leaving.remedy
     wide = replace(bounds, aabb=3 * bounds.aabb)
-    assert box_health(wide, {}, mattes, scene.dynamic)[0].value == 0
+    assert fired(box_measures(wide, {}, mattes, scene.dynamic)) == {}
 
 
 def _mattes(session: Session, capture: dict[str, object], scene: Scene) -> Any:
@@ -273,31 +254,23 @@ def _mattes(session: Session, capture: dict[str, object], scene: Scene) -> Any:
     return scene_mattes(context, frames, scene.static, scene.dynamic, lambda done, text: None)
 
 
-def test_changes_outside_the_box_stray_points_and_blind_corners() -> None:
+def test_changes_outside_the_box_and_blind_corners() -> None:
     fixed = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
     moves = {f"cam{n}": MotionMask(c, ball(c, BALL)) for n, c in enumerate(fixed)}
     masks = list(moves.values())
-    near = np.full(100, 2.5)
-    bounds = scene_bounds(fixed, fixed, np.zeros((100, 3)), near, masks)
+    bounds = scene_bounds(fixed, fixed, np.zeros((100, 3)), np.full(100, 2.5), masks)
     frames = session_frames(fixed)
-    assert all(r.verdict == "ok" for r in box_health(bounds, moves, None, frames))
+    assert fired(box_measures(bounds, moves, None, frames)) == {}
 
     passer = masks[2].mask.copy()
     passer[5:40, :20] = True  # somebody walks past one camera
     passed = moves | {"cam2": replace(masks[2], mask=passer)}
-    outside, cut, *_ = box_health(bounds, passed, None, frames)
-    assert outside.check == "changing pixels that nothing in the box explains, worst camera (cam2)"
-    assert outside.verdict == "warn" and "cam2" in outside.remedy
-    assert cut.check == "something that moves and is cut off by the box, worst camera (cam2)"
-    assert cut.verdict == "warn" and "cam2" in cut.remedy
-
-    stray = np.concatenate([near, np.full(3, 40.0)])
-    far = box_health(scene_bounds(fixed, fixed, np.zeros((100, 3)), stray, masks), moves, None, frames)[2]
-    assert far.check.startswith("far plane over") and far.verdict == "warn" and far.remedy
+    found = fired(box_measures(bounds, passed, None, frames))
+    assert list(found) == ["box-unexplained cam2", "box-cuts cam2"]
+    assert all("cam2" in row.remedy for row in found.values())
 
     away = [fixed[0], *(turned_away(c) for c in fixed[1:])]
-    blind = box_health(bounds, moves, None, session_frames(away))[-1]
-    assert blind.check.startswith("share of the box that fewer than two") and blind.verdict == "warn"
+    assert "box-one-sided" in fired(box_measures(bounds, moves, None, session_frames(away)))
 
 
 @pytest.mark.parametrize(("distance", "verdict"), [(2.5, "ok"), (12.0, "warn")])
@@ -307,8 +280,8 @@ def test_a_sweep_that_did_not_come_near_the_box_is_said(distance: float, verdict
     masks = [MotionMask(c, ball(c, BALL)) for c in fixed]
     bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
     ring = session_frames([look_at(a, distance=distance) for a in np.linspace(0, 6, 10)])
-    row = box_health(bounds, {}, None, session_frames(fixed), ring)[-1]
-    assert row.check == NOT_SWEPT and row.verdict == verdict and bool(row.remedy) == (verdict == "warn")
+    row = judged(box_measures(bounds, {}, None, session_frames(fixed), ring))["box-not-swept"]
+    assert row.verdict == verdict and bool(row.remedy) == (verdict == "warn")
 
 
 def turned_away(camera: Camera) -> Camera:

@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.judged import judged, named
 from tests.refused import refused
 
 from devrf.capture.audio import Sound, write_wav
 from devrf.capture.errors import CaptureError
-from devrf.capture.frames import CameraFrames, Fault, FrameRecord, FrameSet
+from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.capture.measure import Measure
 from devrf.capture.progress import no_progress
 from devrf.capture.session import CaptureSession
-from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.judge import HealthRow, judge
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import ingest, sync
 
@@ -71,7 +73,7 @@ def write_ingest(tmp_path: Path, cameras: dict[str, CameraFrames], sounds: dict[
 
 
 def verdicts(rows: list[HealthRow]) -> dict[str, str]:
-    return {row.check: row.verdict for row in rows}
+    return {name: row.verdict for name, row in named(rows).items()}
 
 
 def test_sync_writes_clocks_curves_and_health(tmp_path):
@@ -102,7 +104,7 @@ def test_a_test_camera_refuses_nothing(tmp_path):
     rows = verdicts(stage.health)
     assert set(rows.values()) == {"ok", "warn"}
     assert all("witness" in check for check, verdict in rows.items() if verdict == "warn")
-    assert rows["test camera witness"] == "warn"
+    assert rows["camera-left-out witness"] == "warn"
     clock = json.loads((tmp_path / "sync" / "sync.json").read_text())["cameras"]["witness"]
     assert clock["std_s"] is None
 
@@ -112,7 +114,7 @@ def test_clips_that_do_not_overlap_fail(tmp_path):
     write_ingest(tmp_path, cameras, {n: sound(0.0 if n == "cam0" else 0.001) for n in cameras})
     stage = context(tmp_path)
     sync.run(stage)
-    row = next(r for r in stage.health if r.check == "time that all cameras show")
+    row = named(stage.health)["cameras-apart"]
     assert row.verdict == "fail" and "cam1: 1.50 to 2.13 s" in row.remedy
 
 
@@ -120,8 +122,8 @@ def test_a_silent_camera_in_which_nothing_moves_fails(tmp_path):
     write_ingest(tmp_path, {"cam0": frames(), "cam1": frames()}, {"cam0": sound(0.0)})
     stage = context(tmp_path)
     sync.run(stage)
-    row = next(r for r in stage.health if "confidence" in r.check)
-    assert row.verdict == "fail" and "cam1" in row.check
+    row = named(stage.health)["clock-unknown cam1"]
+    assert row.verdict == "fail"
     assert "camera cam1: no sound" in row.remedy
     assert json.loads((tmp_path / "sync" / "sync.json").read_text())["cameras"]["cam1"]["std_s"] is None
 
@@ -130,7 +132,7 @@ def test_own_clocks_are_taken_with_a_warning(tmp_path):
     write_ingest(tmp_path, {"cam0": frames(), "cam1": frames()}, {})
     stage = context(tmp_path, "none")
     sync.run(stage)
-    assert verdicts(stage.health)["cue"] == "warn"
+    assert verdicts(stage.health)["clock-unknown cam1"] == "warn"
 
 
 def test_joint_clips_have_a_clock_of_their_own(tmp_path):
@@ -163,7 +165,7 @@ def test_a_clip_with_a_damaged_end_is_used_if_most_of_it_is_there():
     cut = replace(whole.cameras["cam1"], ended_early="ends at frame 60 of 100", announced_frames=100)
     usable = FrameSet({**whole.cameras, "cam1": cut})
     ingest.refuse_damaged(usable)
-    row = next(r for r in ingest.health(usable) if r.check == "end of cam1")
+    row = judged(ingest.ingested(usable))["not-used cam1"]
     assert row.verdict == "warn" and row.value == cut.ended_early and row.remedy
     for little in (replace(cut, announced_frames=130), replace(cut, frames=cut.frames[:9])):
         with refused("clip-too-damaged", f"cam1: {cut.source} {cut.ended_early}", kind=CaptureError):
@@ -171,16 +173,17 @@ def test_a_clip_with_a_damaged_end_is_used_if_most_of_it_is_there():
 
 
 def test_faults_of_clips_are_warnings_with_their_remedies():
-    fault = Fault("bit rate", "0.010 bits per pixel", "Film with the highest bit rate.")
-    rows = ingest.health(FrameSet({"cam0": frames(faults=(fault,)), "cam1": frames()}))
-    row = next(r for r in rows if r.check == "bit rate, cam0")
-    assert (row.value, row.verdict, row.remedy) == (fault.found, "warn", "clip.mp4: " + fault.remedy)
+    fault = Measure("coding", "0.010 bits per pixel", why="bits")
+    row = judged(ingest.ingested(FrameSet({"cam0": frames(faults=(fault,)), "cam1": frames()})))[
+        "coding cam0"
+    ]
+    assert (row.value, row.verdict) == (fault.value, "warn") and row.remedy.startswith("clip.mp4: ")
 
 
 def test_health_of_a_good_and_of_a_bad_capture():
     sweep = frames("sweep", 60)
     good = FrameSet({"static": sweep, "cam0": frames(), "cam1": frames()})
-    assert set(verdicts(ingest.health(good)).values()) == {"ok"}
+    assert set(verdicts(judge(ingest.ingested(good))).values()) == {"ok"}
     blurred = tuple(
         replace(f, sharpness=1.0 if i % 3 == 0 else 10.0) for i, f in enumerate(sweep.frames[:12])
     )
@@ -191,23 +194,16 @@ def test_health_of_a_good_and_of_a_bad_capture():
             "cam1": frames(count=1, width=66, has_audio=False),
         }
     )
-    rows = ingest.health(bad)
-    found = {r.check: (r.verdict, r.remedy or r.value) for r in rows}
-    for check, verdict in (
-        ("pictures of the sweep", "warn"),
-        ("sharp share of the sweep", "warn"),
-        ("sizes in the sweep", "warn"),
-        ("frames of a moving camera, fewest (cam1)", "fail"),
-        ("share of frames dropped while filming, worst camera (cam0)", "warn"),
-        ("exposure between cameras, cam1 against cam0", "warn"),
+    found = judged(ingest.ingested(bad))
+    for name, verdict in (
+        ("sweep-few-pictures", "warn"),
+        ("sweep-blurred", "warn"),
+        ("not-used sweep", "warn"),
+        ("clip-short cam1", "fail"),
+        ("frames-dropped cam0", "warn"),
+        ("exposure-differs cam1 against cam0", "warn"),
     ):
-        assert found[check][0] == verdict, (check, found)
-    assert found["sound"][0] == "ok" and str(found["sound"][1]).endswith(" cam1")
-    assert re.match(
-        r"clip.mp4: 4 of 12 .*frame 0 \(0.00 s\), frame 3 \(0.10 s\)",
-        str(found["sharp share of the sweep"][1]),
-    )
-    assert "3 frames missing in 1 gaps, after 1.20 s" in str(
-        found["share of frames dropped while filming, worst camera (cam0)"][1]
-    )
-    assert "cam1: 66x48" in str(found["sizes of the moving cameras"][1])
+        assert found[name].verdict == verdict, (name, found)
+    blurry = found["sweep-blurred"].remedy
+    assert re.match(r"clip.mp4: 4 of 12 .*frame 0 \(0.00 s\), frame 3 \(0.10 s\)", blurry)
+    assert "3 frames missing in 1 gaps, after 1.20 s" in found["frames-dropped cam0"].remedy

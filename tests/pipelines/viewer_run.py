@@ -55,7 +55,15 @@ class ViewerRun:
 
     def health(self, stage: str, verdict: str, check: str) -> None:
         """A row of a stage's health."""
-        row = {"check": check, "value": 3.0, "unit": "dB", "warn": 5.0, "fail": 4.0, "verdict": verdict}
+        row = {
+            "code": "x",
+            "check": check,
+            "value": 3.0,
+            "unit": "dB",
+            "warn": 5.0,
+            "fail": 4.0,
+            "verdict": verdict,
+        }
         text = json.dumps({"stage": stage, "rows": [row | {"remedy": "Film it again."}]})
         (self.run_dir / stage / "health.json").write_text(text)
 

@@ -6,18 +6,19 @@ from pathlib import Path
 
 import cv2
 import pytest
+from tests.judged import fired, judged
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.lab.simulate.session.damage import zoomed
-from devrf.pipelines.health.at_rest import at_rest_rows
+from devrf.pipelines.health.at_rest import at_rest_measures
 from devrf.reconstruct.check_rest import RestCheck, RestFit, check_rest
 from devrf.reconstruct.displacement import Displacement
 from devrf.reconstruct.rest_model import RestModel
 
 
 def words(scene: Scene, rest: RestModel) -> dict[str, str]:
-    """Row -> verdict."""
-    return {row.check.split(",")[0]: row.verdict for row in at_rest_rows(check_rest(scene, rest))}
+    """Code -> verdict."""
+    return {row.code: row.verdict for row in judged(at_rest_measures(check_rest(scene, rest))).values()}
 
 
 def changed(scene: Scene, change: Callable[[PosedFrame], PosedFrame], name: str = "cam1") -> Scene:
@@ -29,7 +30,7 @@ def test_cameras_that_are_right_fire_nothing(ball, rest: RestModel) -> None:
     found = check_rest(ball.scene, rest)
     assert list(found.cameras) == ["cam0", "cam1", "cam2"]  # no test camera is asked
     assert len(found.sweep) == len(found.sweep_psnr) == 2 and not found.plates
-    assert {row.verdict for row in at_rest_rows(found)} == {"ok"}
+    assert list(fired(at_rest_measures(found))) == []
 
 
 def test_a_voxel_is_measured_at_the_middle_of_the_box(ball, rest: RestModel) -> None:
@@ -45,7 +46,7 @@ def test_a_clip_that_does_not_begin_at_rest_is_seen(ball, rest: RestModel) -> No
     """cam1's first picture shows the ball where it is at the end."""
     last = [f for f in ball.scene.dynamic if f.camera_name == "cam1"][-1]
     scene = changed(ball.scene, lambda f: replace(f, path=last.path))
-    assert words(scene, rest)["PSNR of the scene at rest"] == "warn"
+    assert words(scene, rest)["rest-unlike"] == "warn"
 
 
 @pytest.mark.parametrize("missing", [2, 3])
@@ -67,39 +68,37 @@ def test_a_wrong_focal_length_and_other_exposure_are_seen(ball, rest: RestModel,
         cv2.imwrite(str(tmp_path / frame.path.name), picture)
         return replace(frame, path=tmp_path / frame.path.name)
 
-    assert words(changed(ball.scene, darker), rest)["PSNR of the scene at rest"] == "warn"
+    assert words(changed(ball.scene, darker), rest)["rest-unlike"] == "warn"
 
 
 def test_where_the_clips_never_rest_their_still_pixels_are_asked(ball, rest: RestModel) -> None:
     """Before plain white nothing is still but the background: nothing is told, nothing is claimed."""
     found = check_rest(replace(ball.scene, rest_time=None), rest)
     assert all(fit.displaced is None for fit in found.cameras.values())
-    assert "warn" not in {row.verdict for row in at_rest_rows(found)}
+    assert fired(at_rest_measures(found)) == {}
 
 
 def test_a_scene_at_rest_alone_has_no_cameras_to_ask(ball, rest: RestModel) -> None:
-    assert at_rest_rows(check_rest(replace(ball.scene, dynamic=(), rest_time=None), rest)) == []
+    assert at_rest_measures(check_rest(replace(ball.scene, dynamic=(), rest_time=None), rest)) == []
 
 
 RIGHT = RestFit(25.0, Displacement(0.002, 0.0005), 0.01)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "code"),
     [
-        (replace(RIGHT, displaced=Displacement(0.007, 0.0005)), "picture beside the scene at rest"),
-        (replace(RIGHT, psnr=21.0), "PSNR of the scene at rest"),
+        (replace(RIGHT, displaced=Displacement(0.007, 0.0005)), "rest-beside"),
+        (replace(RIGHT, psnr=21.0), "rest-unlike"),
     ],
 )
-def test_what_is_too_much(wrong: RestFit, says: str) -> None:
+def test_what_is_too_much(wrong: RestFit, code: str) -> None:
     """Half a voxel and two standard deviations are 0.6 % of the width; 3 dB below 24 to 25 are 21.5."""
-    rows = at_rest_rows(RestCheck({"left": RIGHT, "right": wrong}, sweep=[RIGHT, replace(RIGHT, psnr=24.0)]))
-    (fired,) = [row for row in rows if row.verdict == "warn"]
-    assert fired.check.startswith(says) and "right" in fired.check and "right" in fired.remedy
+    found = RestCheck({"left": RIGHT, "right": wrong}, sweep=[RIGHT, replace(RIGHT, psnr=24.0)])
+    assert list(fired(at_rest_measures(found))) == [f"{code} right"]
 
 
 FAR = Displacement(0.08, 0.0, found=False)  # as far as is searched in a picture wider than high
-BESIDE = "picture beside the scene at rest"
 
 
 def test_one_picture_of_the_sweep_that_is_not_found_again_does_not_excuse_cameras() -> None:
@@ -107,20 +106,17 @@ def test_one_picture_of_the_sweep_that_is_not_found_again_does_not_excuse_camera
     sweep = [RIGHT, RIGHT, RIGHT, replace(RIGHT, displaced=FAR)]
     for found in (Displacement(0.02, 0.0005), FAR):
         cameras = {"left": RIGHT, "right": replace(RIGHT, displaced=found)}
-        rows = at_rest_rows(RestCheck(cameras, sweep=sweep))
-        (fired,) = [row for row in rows if row.verdict == "warn"]
-        assert fired.check.startswith(BESIDE) and "right" in fired.check
+        assert list(fired(at_rest_measures(RestCheck(cameras, sweep=sweep)))) == ["rest-beside right"]
 
 
 def test_where_half_of_the_sweep_is_not_found_again_nothing_is_said_of_cameras() -> None:
     """Nor of one that is higher than wide, where as far as is searched is more widths."""
     high = replace(RIGHT, displaced=Displacement(0.14, 0.0, found=False))
-    rows = at_rest_rows(RestCheck({"high": high}, sweep=[RIGHT, replace(RIGHT, displaced=FAR)]))
-    assert not any(row.check.startswith(BESIDE) for row in rows)
+    found = RestCheck({"high": high}, sweep=[RIGHT, replace(RIGHT, displaced=FAR)])
+    assert [m for m in at_rest_measures(found) if m.code == "rest-beside"] == []
 
 
 def test_a_sweep_that_lies_beside_its_own_model_says_how_much_is_usual() -> None:
     shaky = [replace(RIGHT, displaced=Displacement(0.008, 0.0005))] * 2
     cameras = {"cam0": replace(RIGHT, displaced=Displacement(0.007, 0.0005))}
-    rows = at_rest_rows(RestCheck(cameras, sweep=shaky))
-    assert {row.verdict for row in rows} == {"ok"}
+    assert fired(at_rest_measures(RestCheck(cameras, sweep=shaky))) == {}

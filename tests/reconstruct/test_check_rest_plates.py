@@ -19,9 +19,9 @@ from devrf.pipelines.health.at_rest import (
     MOST_OF_PLATE,
     MOST_OF_REST,
     MOSTLY,
-    at_rest_rows,
+    at_rest_measures,
 )
-from devrf.pipelines.health.rows import HealthRow
+from devrf.pipelines.health.judge import HealthRow, judge
 from devrf.reconstruct.aligned import aligned
 from devrf.reconstruct.check_rest import PlateFit, RestCheck, RestFit, check_rest
 from devrf.reconstruct.displacement import Displacement
@@ -72,9 +72,9 @@ def filmed(folder: Path, change: Change, stands: np.ndarray = ROOM) -> Scene:
 
 
 def told(scene: Scene, stands: np.ndarray = ROOM) -> tuple[PlateFit, dict[str, HealthRow]]:
-    """What is measured of the one camera, and the rows by their first words."""
+    """What is measured of the one camera, and its rows by their codes."""
     plates, rows = checked(scene, stands)
-    return plates["cam0"], {row.check.split(" ")[0]: row for row in rows}
+    return plates["cam0"], {row.code: row for row in rows}
 
 
 def checked(scene: Scene, stands: np.ndarray = ROOM) -> tuple[dict[str, PlateFit], list[HealthRow]]:
@@ -89,7 +89,7 @@ def plates_of(scene: Scene, rendered: np.ndarray) -> tuple[dict[str, PlateFit], 
     """What is measured of plates against what a model shows, and the rows about them alone."""
     found = check_rest(scene, moving_ball("shell").rest, lambda camera: rendered)
     plates = dict(found.plates)
-    return plates, at_rest_rows(RestCheck({}, plates, SWEEP, found.sweep_psnr))
+    return plates, judge(at_rest_measures(RestCheck({}, plates, SWEEP, found.sweep_psnr)))
 
 
 def as_it_is(picture: np.ndarray, n: int) -> np.ndarray:
@@ -109,7 +109,7 @@ def person(first: int) -> Change:
 
 def test_a_camera_that_is_right_is_well(tmp_path: Path) -> None:
     fit, rows = told(filmed(tmp_path / "clip", as_it_is))
-    assert list(rows) == ["clean", "error"] and {row.verdict for row in rows.values()} == {"ok"}
+    assert [(row.code, row.verdict) for row in rows.values()] == [("rest-explained", "ok")]
     assert fit.psnr is not None and fit.psnr > 30 and 0.4 < fit.known < 0.9 and fit.textured > LEAST_TEXTURED
     assert fit.by_place < MOST_OF_PLATE / 2 and max(fit.rest_by_place, fit.rest_by_time) < MOST_OF_REST / 2
     assert fit.by_light < 0.1 and fit.odd < MOST_ODD / 2
@@ -119,7 +119,10 @@ def test_a_camera_that_is_right_is_well(tmp_path: Path) -> None:
 def test_a_camera_that_was_touched_is_named(tmp_path: Path) -> None:
     """Two pixels to the side: a sixtieth of the width."""
     fit, rows = told(filmed(tmp_path / "clip", lambda p, n: shift(p, (1, 2, 0), order=1, mode="nearest")))
-    assert rows["clean"].verdict == rows["error"].verdict == "warn" and "cam0" in rows["clean"].remedy
+    assert (
+        rows["rest-plate"].verdict == rows["rest-explained"].verdict == "warn"
+        and "cam0" in rows["rest-plate"].remedy
+    )
     assert fit.displaced is not None
     assert fit.displaced.length == pytest.approx(np.hypot(1, 2) / WIDTH, abs=0.003)
     assert min(fit.by_place, fit.rest_by_place) > 0.7
@@ -135,14 +138,14 @@ def test_a_clock_that_is_late_is_told_from_a_camera_that_was_touched(tmp_path: P
     early = replace(scene, dynamic=tuple(late), rest_time=2 / (COUNT - 1))
     fit, rows = told(early)
     assert fit.rest_by_time > MOST_OF_REST and fit.by_place < MOST_OF_PLATE
-    assert rows["error"].verdict == "warn" and rows["clean"].verdict == "ok" and "cam0" in rows["error"].check
+    assert rows["rest-explained"].verdict == "warn" and "rest-plate" not in rows
 
 
 @pytest.mark.parametrize("gains", [(1.25, 1.0, 0.8), (0.7, 0.7, 0.7)])
 def test_other_light_is_told_as_such(tmp_path: Path, gains: tuple[float, float, float]) -> None:
     """Two cameras that saw the rest in other light: each has a row of its own, so one is enough here."""
     fit, rows = told(filmed(tmp_path / "clip", lambda p, n: p * gains))
-    assert rows["clean"].verdict == "warn" and "curtains" in rows["clean"].remedy
+    assert rows["rest-plate"].verdict == "warn" and "curtains" in rows["rest-plate"].remedy
     assert fit.by_light > MOSTLY and fit.by_place < MOST_OF_PLATE
 
 
@@ -152,23 +155,25 @@ def test_two_cameras_in_other_light_are_both_named(tmp_path: Path) -> None:
     clips = {name: filmed(tmp_path / name, lambda p, n, g=g: g * p) for name, g in gains.items()}
     dynamic = [replace(f, camera_name=name) for name, clip in clips.items() for f in clip.dynamic]
     plates, rows = checked(replace(clips["cam0"], dynamic=tuple(dynamic)))
-    of_camera = {name: next(row for row in rows if row.check.endswith(f"rest ({name})")) for name in gains}
-    assert [row.verdict for row in of_camera.values()] == ["warn", "warn", "ok"]
-    for name in ("cam0", "cam1"):
+    of_camera = {row.about: row for row in rows if row.code == "rest-plate"}
+    assert {name: row.verdict for name, row in of_camera.items()} == {"cam0": "warn", "cam1": "warn"}
+    for name in of_camera:
         assert name in of_camera[name].remedy and "curtains" in of_camera[name].remedy
     assert min(plates["cam0"].by_light, plates["cam1"].by_light) > MOSTLY > plates["cam2"].by_light
 
 
 def test_somebody_who_stands_there_nearly_always_is_named_with_a_place(tmp_path: Path) -> None:
     fit, rows = told(filmed(tmp_path / "clip", person(1)))
-    assert rows["clean"].verdict == "warn" and f"{100 * fit.odd_at[0]:.0f} %" in rows["clean"].remedy
+    assert (
+        rows["rest-plate"].verdict == "warn" and f"{100 * fit.odd_at[0]:.0f} %" in rows["rest-plate"].remedy
+    )
     assert fit.odd == pytest.approx(60 * 20 / (HEIGHT * WIDTH), rel=0.3)
     assert fit.odd_at == pytest.approx((100 / WIDTH, 60 / HEIGHT), abs=0.02)
 
 
 def test_somebody_who_stands_there_most_of_the_time_is_left_out(tmp_path: Path) -> None:
     fit, rows = told(filmed(tmp_path / "clip", person(5)))
-    assert rows["clean"].verdict == "ok" and fit.odd < MOST_ODD
+    assert "rest-plate" not in rows and fit.odd < MOST_ODD
     assert fit.known < told(filmed(tmp_path / "other", as_it_is))[0].known - 0.08
 
 
@@ -176,14 +181,18 @@ def test_a_camera_that_never_sees_anything_at_rest(tmp_path: Path) -> None:
     """A tripod on a moving boat: every picture shows other things."""
     fit, rows = told(filmed(tmp_path / "clip", lambda p, n: room(n + 10)))
     assert fit.psnr is None and fit.known < 0.02
-    assert list(rows) == ["clean"] and rows["clean"].verdict == "warn" and "cam0" in rows["clean"].remedy
+    assert (
+        list(rows) == ["rest-plate"]
+        and rows["rest-plate"].verdict == "warn"
+        and "cam0" in rows["rest-plate"].remedy
+    )
 
 
 def test_a_camera_turned_to_a_blank_wall(tmp_path: Path) -> None:
     fit, rows = told(filmed(tmp_path / "clip", as_it_is, PLAIN), PLAIN)
     assert fit.textured < LEAST_TEXTURED and fit.displaced is None
-    assert rows["clean"].verdict == "warn" and "cam0" in rows["clean"].remedy
-    assert rows["error"].verdict == "ok"
+    assert rows["rest-plate"].verdict == "warn" and "cam0" in rows["rest-plate"].remedy
+    assert rows["rest-explained"].verdict == "ok"
 
 
 def test_what_the_sweep_never_showed(tmp_path: Path) -> None:
@@ -191,7 +200,7 @@ def test_what_the_sweep_never_showed(tmp_path: Path) -> None:
     scene = filmed(tmp_path / "clip", as_it_is)
     other = gaussian_filter(ROOM, (6, 6, 0)).astype(np.float32)
     plates, _ = plates_of(scene, other)
-    row = at_rest_rows(RestCheck({}, plates, sweep_psnr=[30.0, 31.0]))[0]
+    row = judge(at_rest_measures(RestCheck({}, plates, sweep_psnr=[30.0, 31.0])))[0]
     assert row.verdict == "warn" and "cam0" in row.remedy
     assert plates["cam0"].by_light < MOSTLY
 

@@ -18,7 +18,8 @@ from devrf.capture.formats import read_scene, write_scene
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.confidence import confidence_rows
+from devrf.pipelines.health.confidence import confidence_measures
+from devrf.pipelines.health.judge import judge
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import evaluate
 
@@ -155,13 +156,13 @@ def test_every_block_of_the_contract(context: StageContext, monkeypatch):
 def test_motion_that_explains_nothing_is_told(context: StageContext, monkeypatch):
     _run(context, monkeypatch, moves=False)
     doubtful = [row for row in context.health if row.verdict != "ok"]
-    assert any("motion gains" in row.check and "capture.rest" in row.remedy for row in doubtful)
+    assert any(row.code == "views-gain" and "capture.rest" in row.remedy for row in doubtful)
 
 
 def test_confidence_is_kept_and_judged(context: StageContext, monkeypatch):
     metrics = _run(context, monkeypatch, unseen_share=0.6)
     assert metrics["confidence"]["seen_by"][0] == {"cameras": 0, "share": 0.6}
-    row = next(row for row in context.health if "no camera sees" in row.check)
+    row = next(row for row in context.health if row.code == "surface-unseen")
     assert row.verdict == "warn" and row.value == 60
 
 
@@ -176,7 +177,7 @@ def test_confidence_takes_the_times_that_were_trained_with(context: StageContext
         return {"moves": False, "unseen_share": None, "seen_by": [{"cameras": 3, "share": 1.0}]}
 
     _run(context, monkeypatch, asked=asked)
-    assert not any("no camera sees" in row.check for row in context.health)
+    assert not any(row.code == "surface-unseen" for row in context.health)
     assert seen["cam1"] == [0.25, 0.75]  # the last one is beyond the motion
     assert seen["cam0"] == seen["witness"] == list(TIMES)
 
@@ -203,7 +204,7 @@ def test_clocks_that_training_moved_are_held_against_the_truth(
 
 
 def test_a_box_without_anything_solid_is_told():
-    (row,) = confidence_rows({"moves": False, "unseen_share": None, "seen_by": []})
+    (row,) = judge(confidence_measures({"moves": False, "unseen_share": None, "seen_by": []}))
     assert row.verdict == "warn" and isinstance(row.value, str)
 
 

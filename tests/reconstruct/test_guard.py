@@ -15,7 +15,8 @@ from tests.refused import refused
 
 from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import PosedFrame
-from devrf.pipelines.health.training import flow_rows, restart_rows
+from devrf.pipelines.health.judge import judge
+from devrf.pipelines.health.training import contradicted_measures, restart_measures
 from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.guard import MOST, SMALLER, Guard
 from devrf.reconstruct.options import MotionOptions
@@ -253,15 +254,15 @@ def test_what_smaller_steps_do_not_help_ends_with_a_message(
 
 
 def test_health_says_so_and_is_silent_where_nothing_happened() -> None:
-    assert restart_rows({"restarts": 0, "rate": 1.0, "keys_left": 0}) == []
-    found = restart_rows({"restarts": 2, "rate": 1 / 9, "keys_left": 3})
-    assert [(r.verdict, r.value) for r in found] == [("warn", 2.0), ("warn", 3.0)]
-    assert "poses and clocks" in found[0].remedy and "0.11" in found[0].remedy
+    assert list(restart_measures({"restarts": 0, "rate": 1.0, "keys_left": 0})) == []
+    ran_away, left = judge(restart_measures({"restarts": 2, "rate": 1 / 9, "keys_left": 3}))
+    assert (ran_away.verdict, ran_away.value) == ("warn", 2.0) and "0.11" in ran_away.remedy
+    assert left.verdict == "warn" and " 3 key times" in str(left.value)
     # nothing was trained with smaller steps
-    (left,) = restart_rows({"restarts": MOST, "rate": 1.0, "keys_left": 1})
-    assert left.value == 1.0 and "smaller" not in left.remedy
-    assert flow_rows({}) == []
-    (ok,) = flow_rows({"cam0": 0.1, "cam1": 0.35})
-    assert ok.verdict == "ok" and "cam1" in ok.check
-    (bad,) = flow_rows({"cam0": 0.9, "cam1": 0.35})
-    assert bad.verdict == "warn" and "cam0" in bad.check and "--force flow" in bad.remedy
+    (left,) = judge(restart_measures({"restarts": MOST, "rate": 1.0, "keys_left": 1}))
+    assert " 1 key times" in str(left.value) and "smaller" not in left.remedy
+    assert contradicted_measures({}) == []
+    (ok,) = judge(contradicted_measures({"cam0": 0.1, "cam1": 0.35}))
+    assert (ok.verdict, ok.about) == ("ok", "cam1")
+    (bad,) = judge(contradicted_measures({"cam0": 0.9, "cam1": 0.35}))
+    assert (bad.verdict, bad.about) == ("warn", "cam0") and "--force flow" in bad.remedy

@@ -8,9 +8,8 @@ suite, which goes on later.
 
 import json
 import os
-import re
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,12 @@ import typer
 from rich.console import Console
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.measure import Verdict
 from devrf.capture.scene import Scene
 from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.damage.intact import Damage, Intact
 from devrf.pipelines.console import Talk
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
-from devrf.pipelines.health.rows import Verdict
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice, read_health
 from devrf.pipelines.runner.run import Run
@@ -40,7 +38,6 @@ from devrf.reconstruct.evaluate import motion_psnr
 LAST = "evaluate"  # what follows shows the result and does not change it
 TRAININGS = ("canonical", "deformation")
 UNDISTURBED = "undisturbed"
-_OF_WHICH = re.compile(r" \([^()]*\)$")  # behind a check's name: its worst camera
 
 
 @dataclass(frozen=True)
@@ -49,14 +46,14 @@ class Complaint:
 
     Attributes:
         stage, check, verdict, value: Of the row.
-        kind: The check without which camera it is about, which may be another one each time.
+        code: Of the row: the same whichever camera it is about.
     """
 
     stage: str
     check: str
     verdict: Verdict
     value: float | str | None
-    kind: str
+    code: str
 
 
 @dataclass(frozen=True)
@@ -153,31 +150,7 @@ def run_case(
     if code != DONE and not refusals:
         raise DevrfError(of_error, f"{axis} {severity:g}, seed {seed}: {text}")
     stopped = None if code == DONE else text.partition("\nlog: ")[0]
-    cameras = _cameras(base, run, undisturbed)
-    return _result(run.run_dir, axis, severity, seed, stopped, run.fresh, cameras), run.run_dir
-
-
-def kind_of(check: str, cameras: Iterable[str]) -> str:
-    """A check's name without which camera it is about.
-
-    Args:
-        check: "points that cam0 shares with the sweep", "points in view, worst camera (cam0)".
-        cameras: Names of all fixed cameras.
-    """
-    names = sorted(cameras, key=len, reverse=True)  # else `cam` would be found in `cam-left`
-    if names:
-        words = "|".join(re.escape(name) for name in names)
-        check = re.sub(rf"(?<!\w)(?:{words})(?!\w)", "a camera", check)
-    return _OF_WHICH.sub("", check)
-
-
-def _cameras(base: Run, run: Run, undisturbed: Scene | None) -> Iterable[str]:
-    """Names of the fixed cameras, those that a case leaves out too; a data set's are its scene's."""
-    if base.config.capture is not None:
-        return base.config.capture.all_cameras
-    if undisturbed is None and "scene" in run.fresh:
-        undisturbed = read_scene(run.run_dir / "scene")
-    return () if undisturbed is None else {frame.camera_name for frame in undisturbed.dynamic}
+    return _result(run.run_dir, axis, severity, seed, stopped, run.fresh), run.run_dir
 
 
 def _result(
@@ -187,14 +160,13 @@ def _result(
     seed: int,
     stopped: str | None,
     stages: Sequence[str],
-    cameras: Iterable[str],
 ) -> Result:
     """What a run folder says of a case; of stages that are the case's own, not of an earlier run's."""
     complaints = tuple(
-        Complaint(stage, row.check, row.verdict, row.value, kind_of(row.check, cameras))
+        Complaint(stage, row.title, row.verdict, row.value, row.code)
         for stage in stages
         for row in read_health(run_dir / stage)
-        if row.verdict != "ok" and not row.check.startswith(NEEDS_TEST_VIEWS)
+        if row.verdict != "ok" and row.about not in NEEDS_TEST_VIEWS
     )
     stamps = [read_stamp(run_dir / stage) or {} for stage in stages]
     seconds = sum(stamp.get("seconds") or 0.0 for stamp in stamps)

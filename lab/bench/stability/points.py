@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from devrf.lab.bench.stability.case import Complaint, Result
-from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 
 WORSE = {"warn": 1, "fail": 2}
+LEAST_GAIN_DB = 1.0  # as for the health of `evaluate`: motion that gains less is not worth its name
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ def new_complaints(result: Result, undisturbed: Result) -> tuple[Complaint, ...]
 
 
 def _kind(complaint: Complaint) -> tuple[str, str]:
-    """Stage and kind of check: the same complaint about another camera is no new one."""
-    return complaint.stage, complaint.kind
+    """Stage and code: the same complaint about another camera is no new one."""
+    return complaint.stage, complaint.code
 
 
 def said(result: Result, undisturbed: Result | None) -> tuple[str, ...]:

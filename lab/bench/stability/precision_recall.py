@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from devrf.lab.bench.stability.case import Result
-from devrf.lab.bench.stability.points import Points, new_complaints, said
-from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
+from devrf.lab.bench.stability.points import LEAST_GAIN_DB, Points, new_complaints, said
 from devrf.pipelines.health.training import MENDED
 
 # lost where it moves: half of what motion must gain; other seeds differ by less
@@ -93,7 +92,7 @@ def _breaks_later(result: Result, found: Points) -> bool:
 def _warns(result: Result, undisturbed: Result) -> bool:
     """Whether it was stopped, or something new is said that training did not mend."""
     new = new_complaints(result, undisturbed)
-    return result.stopped is not None or not all(c.check.startswith(MENDED) for c in new)
+    return result.stopped is not None or not all(c.code in MENDED for c in new)
 
 
 def _suffered(result: Result, undisturbed: Result) -> bool:

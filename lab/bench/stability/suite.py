@@ -14,11 +14,10 @@ from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.case import UNDISTURBED, Result, is_made, run_case
 from devrf.lab.bench.stability.chart import axes_chart
 from devrf.lab.bench.stability.damage.intact import DoesNotApply
-from devrf.lab.bench.stability.points import Points, bar_db, points
+from devrf.lab.bench.stability.points import LEAST_GAIN_DB, Points, bar_db, points
 from devrf.lab.bench.stability.precision_recall import SUFFERED_DB, Heard, heard
 from devrf.lab.bench.training.trainings import Bench, spread
 from devrf.pipelines.console import Talk, duration
-from devrf.pipelines.health.in_motion import LEAST_GAIN_DB
 from devrf.pipelines.runner.run import Run
 
 MEASURES = {
