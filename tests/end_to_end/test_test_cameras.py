@@ -10,7 +10,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ import pytest
 import yaml
 from tests.conftest import EXAMPLE
 from tests.end_to_end.small_session import WITNESS, write_small_session
+from tests.make.clips import film
 
 from devrf.capture.picture_files import read_pixels
 
@@ -77,17 +77,10 @@ def rewrite(clip: Path, shown: Callable[[np.ndarray], np.ndarray], every: int = 
     """The clip with other pictures, and without its sound."""
     before = clip.with_suffix(".before.mp4")
     clip.rename(before)
-    with av.open(str(before)) as whole, av.open(str(clip), "w") as out:
-        own = whole.streams.video[0]
-        video = out.add_stream("libx264", rate=8, options={"crf": "20"})
-        video.width, video.height = own.width, own.height
-        video.time_base = video.codec_context.time_base = Fraction(1, 90_000)
-        for n, frame in enumerate(whole.decode(video=0)):
-            if n % every == 0:
-                picture = av.VideoFrame.from_ndarray(shown(frame.to_ndarray(format="rgb24")), format="rgb24")
-                picture.pts, picture.time_base = round(frame.time * 90_000), Fraction(1, 90_000)
-                out.mux(video.encode(picture))
-        out.mux(video.encode(None))
+    with av.open(str(before)) as whole:
+        frames = list(whole.decode(video=0))[::every]
+    pictures = [shown(frame.to_ndarray(format="rgb24")) for frame in frames]
+    film(clip, pictures, rate=8, times_s=[frame.time for frame in frames], crf="20")
     before.unlink()
 
 
