@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import yaml
+from tests.make.tables import table
 from tests.refused import refused
 from tests.rigs import RIG_LAYOUTS
 
@@ -250,7 +250,7 @@ def test_opencv_stereo_pair_with_poses(data_dir: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(rig.cameras["right"].camera.centre, expected, atol=1e-12)
 
 
-TABLE = yaml.safe_load((Path(__file__).parents[1] / "formats" / "calibrations.yaml").read_text())
+TABLE = table("calibrations")
 LENS = [-0.31, 0.12, 0.001, -0.0005, -0.02]
 
 
