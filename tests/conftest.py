@@ -31,6 +31,7 @@ EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 # of `whole_run`; they take minutes, so one worker makes each for all tests
 RUNS = ("example_run", "small_run")
+SMALL_FILM = (12, 12.0, 8_000)  # for `stages.render.SIZES`: a film of a second
 # longest first, so that no worker ends long after the others
 FIRST = ("end_to_end", "browser", "faults", "lab", "pipelines")
 
@@ -260,7 +261,7 @@ def small_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> Examp
 
     scene = write_small_session(EXAMPLE, tmp_path_factory.mktemp("small"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(render.SIZES, "tiny", (12, 12.0, 8_000))
+        patch.setitem(render.SIZES, "tiny", SMALL_FILM)
         result = devrf("run", scene, "--device", "cpu")
     assert result.code == 0, result.said
     return ExampleRun(scene, scene.parent / "run")
