@@ -111,25 +111,6 @@ def test_nerfstudio_files_of_others_with_global_intrinsics(tmp_path):
     np.testing.assert_allclose(frame.camera.cam_from_world, np.eye(4)[:3], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("content", "refusal"),
-    [
-        (None, ("file-missing", "transforms.json")),
-        ("{", ("file-damaged", "transforms.json")),
-        ('{"frames": []}', ("pictures-none", "transforms.json")),
-        (
-            '{"fl_x": 5, "frames": [{"file_path": "no.png", "transform_matrix": []}]}',
-            ("picture-missing", "no.png"),
-        ),
-    ],
-)
-def test_bad_transforms_are_named(tmp_path, content, refusal):
-    if content is not None:
-        (tmp_path / "transforms.json").write_text(content)
-    with refused(*refusal, kind=CaptureError):
-        read_dataset("nerfstudio", tmp_path)
-
-
 def test_published_layout(data_dir):
     scene = read_dataset("devrf", data_dir / "devrf_cloth", frame_stride=5)
     assert scene.background == "white" and scene.rest_time == 0.0 and scene.kind == "inward"

@@ -10,9 +10,8 @@ import pytest
 from tests.make.tables import table
 from tests.refused import refused
 
-from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats import FLIP_YZ, read_dataset
+from devrf.capture.formats import read_dataset
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.scene import background_of, load_image, plain_colour
 
@@ -357,11 +356,6 @@ def test_names_of_plain_colours():
     assert plain_colour("shell") is None and plain_colour("#0000ff") == (0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match="#12345"):
         plain_colour("#12345")
-
-
-def test_flip_is_its_own_inverse():
-    np.testing.assert_array_equal(FLIP_YZ @ FLIP_YZ, np.eye(4))
-    assert isinstance(Camera(2, 2, np.eye(3), np.eye(4)[:3]).moved(FLIP_YZ), Camera)
 
 
 def test_names_as_windows_writes_them(tmp_path: Path):
