@@ -132,7 +132,7 @@ def odd_scene(tmp_path: Path) -> "Scene":
     pictures that are not square, cameras of different sizes, clocks that are not triggered together."""
     import cv2
     import numpy as np
-    from tests.scenes import scene_of
+    from tests.make.scenes import scene_of
 
     from devrf.capture.camera import Camera
     from devrf.capture.scene import PosedFrame, SparsePoints

@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.make.rigs import RIG_LAYOUTS
 from tests.make.tables import table
 from tests.refused import refused
-from tests.rigs import RIG_LAYOUTS
 
 from devrf.calibration.formats import find_calibration
 from devrf.calibration.formats.opencv import storage

@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 import pytest
 from plyfile import PlyData
-from tests.datasets import write_set
+from tests.make.datasets import write_set
 from tests.refused import refused
 
 from devrf.capture.errors import CaptureError, InputError

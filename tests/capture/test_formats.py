@@ -6,8 +6,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.make.scenes import scene_of
 from tests.refused import refused
-from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError

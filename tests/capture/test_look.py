@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.make.pictures import frame_of
+from tests.make.scenes import scene_of
 from tests.refused import refused
-from tests.scenes import scene_of
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.datasets import write_dataset

@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import yaml
 from PIL import Image
-from tests.datasets import write_set
 from tests.faults.mutations import BINARY, JSON, TEXT, Mutation
-from tests.rigs import RIG_LAYOUTS
+from tests.make.datasets import write_set
+from tests.make.rigs import RIG_LAYOUTS
 
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera

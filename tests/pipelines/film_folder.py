@@ -9,7 +9,7 @@ import torch
 import yaml
 from PIL import Image
 from tests.make.models import canonical, straight
-from tests.scenes import scene_of
+from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene

@@ -14,7 +14,7 @@ import torch
 import typer
 import yaml
 from scipy.spatial.transform import Rotation, Slerp
-from tests.glb import read_glb
+from tests.make.glb import read_glb
 from tests.make.models import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball, rigid_ball
 from tests.refused import refused
 

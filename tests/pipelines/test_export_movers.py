@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from tests.glb import read_glb
+from tests.make.glb import read_glb
 from tests.make.models import (
     AABB,
     BALL,

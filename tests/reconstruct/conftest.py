@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from tests.make.models import straight
-from tests.scenes import scene_of
+from tests.make.scenes import scene_of
 
 from devrf.capture import view_axes
 from devrf.capture.camera import Camera

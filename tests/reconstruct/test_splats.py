@@ -21,8 +21,8 @@ from tests.make.models import (
     moving_parts,
     outside,
 )
+from tests.make.scenes import scene_of
 from tests.reconstruct.conftest import around, look_at
-from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats.ply import write_splat_ply
