@@ -12,7 +12,7 @@ from devrf.reconstruct.evaluate import motion_psnr
 
 pytestmark = pytest.mark.full
 
-SIZE, TIMES = 64, 4
+SIZE, TIMES = 64, 6
 SETTINGS = {"resolution": 32, "rays": 512, "canonical_iterations": 800, "motion_iterations": 500}
 COARSE_TO_FINE_DB = 2.0  # over a field trained at its full resolution from the start
 MOTION_DB = 3.0  # over the scene at rest, where it moves
@@ -21,7 +21,7 @@ MOTION_DB = 3.0  # over the scene at rest, where it moves
 @pytest.fixture(scope="module")
 def out(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reference")
-    # Of 50 published times four are a short piece: the arm moves less than through all of its way.
+    # Of 50 published times six are a short piece: the arm moves less than through all of its way.
     options = DatasetOptions(static_views=48, static_test_views=4, times=TIMES, motion_scale=0.4)
     simulate_dataset(folder / "arm", "arm", size=(SIZE, SIZE), options=options)
     settings = [part for key, value in SETTINGS.items() for part in ("--set", f"reconstruct.{key}={value}")]
