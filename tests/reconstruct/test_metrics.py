@@ -36,6 +36,15 @@ def test_ssim_of_flat_pictures(a, b):
     np.testing.assert_allclose(out, expected, atol=1e-6)
 
 
+def test_ssim_is_that_of_scikit_image_on_whole_windows():
+    structural_similarity = pytest.importorskip("skimage.metrics").structural_similarity
+    true, how = picture(), {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    for other in (picture(seed=1), (true + 0.2 * picture(seed=2)).astype(np.float32), 1 - true):
+        pair = (p.astype(np.float64) for p in (other, true))
+        _, expected = structural_similarity(*pair, **how, data_range=1.0, channel_axis=2, full=True)
+        np.testing.assert_allclose(ssim_map(other, true), expected[5:-5, 5:-5], atol=1e-12)
+
+
 def test_picture_smaller_than_the_window_has_no_ssim():
     small = picture(10, 30)
     assert Comparison(small, small).whole().ssim is None
