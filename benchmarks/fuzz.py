@@ -24,7 +24,7 @@ from tests.faults.fuzz_material import FRAMES, SIZE, Target, pictures, scene_yam
 from tests.faults.fuzzing import Fuzzer, Outcome, fuzzer
 from tests.faults.mutations import JSON, NUMBERS, TEXT
 from tests.faults.test_fuzz_files import attempt, damage
-from tests.rigs import RIG_LAYOUTS
+from tests.make.rigs import RIG_LAYOUTS
 
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera

@@ -17,7 +17,7 @@ from benchmarks.script import finish
 from PIL import Image
 from plyfile import PlyData
 from scipy.spatial import KDTree
-from tests.glb import read_glb
+from tests.make.glb import read_glb
 
 from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.camera import Camera

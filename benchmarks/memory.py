@@ -18,8 +18,8 @@ from typing import Any
 import cv2
 import numpy as np
 from benchmarks.script import finish
+from tests.make.scenes import UNIT_BOX, scene_of
 from tests.reconstruct import conftest as ball
-from tests.scenes import UNIT_BOX, scene_of
 
 from devrf.capture.processes import memory_of
 from devrf.capture.scene import PosedFrame, Scene

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from devrf.capture.scene import Scene, Split
@@ -26,11 +27,15 @@ for _signal, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
     if signal.getsignal(_signal) is signal.SIG_IGN:
         signal.signal(_signal, _usual)
 
+settings.register_profile("same every time", derandomize=True, database=None, deadline=None)
+settings.load_profile("same every time")
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 # of `whole_run`; they take minutes, so one worker makes each for all tests
 RUNS = ("example_run", "small_run")
+SMALL_FILM = (12, 12.0, 8_000)  # for `stages.render.SIZES`: a film of a second
 # longest first, so that no worker ends long after the others
 FIRST = ("end_to_end", "browser", "faults", "lab", "pipelines")
 
@@ -127,7 +132,7 @@ def odd_scene(tmp_path: Path) -> "Scene":
     pictures that are not square, cameras of different sizes, clocks that are not triggered together."""
     import cv2
     import numpy as np
-    from tests.scenes import scene_of
+    from tests.make.scenes import scene_of
 
     from devrf.capture.camera import Camera
     from devrf.capture.scene import PosedFrame, SparsePoints
@@ -260,7 +265,7 @@ def small_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> Examp
 
     scene = write_small_session(EXAMPLE, tmp_path_factory.mktemp("small"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(render.SIZES, "tiny", (12, 12.0, 8_000))
+        patch.setitem(render.SIZES, "tiny", SMALL_FILM)
         result = devrf("run", scene, "--device", "cpu")
     assert result.code == 0, result.said
     return ExampleRun(scene, scene.parent / "run")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.make.models import moving_parts
 from tests.pipelines.trained_run import boxed_model, write_trained
 from tests.reconstruct.conftest import look_at
-from tests.reconstruct.moving_parts import moving_parts
 
 from devrf.capture.camera import Camera
 from devrf.pipelines.console import Talk

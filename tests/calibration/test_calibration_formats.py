@@ -10,8 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.make.rigs import RIG_LAYOUTS
+from tests.make.tables import table
 from tests.refused import refused
-from tests.rigs import RIG_LAYOUTS
 
 from devrf.calibration.formats import find_calibration
 from devrf.calibration.formats.opencv import storage
@@ -249,269 +250,63 @@ def test_opencv_stereo_pair_with_poses(data_dir: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(rig.cameras["right"].camera.centre, expected, atol=1e-12)
 
 
-ROS = """image_width: 640
-image_height: 480
-camera_name: head
-camera_matrix:
-  rows: 3
-  cols: 3
-  data: [538.63, 0, 457.698, 0, 539.723, 297.003, 0, 0, 1]
-distortion_model: plumb_bob
-distortion_coefficients:
-  rows: 1
-  cols: 5
-  data: [-0.30678, 0.0825017, 0.0028784, -0.00015829, 0]
-"""
-KALIBR = """cam0:
-  T_cam_imu:
-  - [0.0, 1.0, 0.0, 0.07]
-  - [-1.0, 0.0, 0.0, -0.01]
-  - [0.0, 0.0, 1.0, 0.0]
-  - [0.0, 0.0, 0.0, 1.0]
-  cam_overlaps: [1]
-  camera_model: pinhole
-  distortion_coeffs: [-0.27695497, 0.06712482, 0.00087538, 0.00011556]
-  distortion_model: radtan
-  intrinsics: [461.629, 460.152, 362.680, 246.049]
-  resolution: [752, 480]
-  rostopic: /cam0/image_raw
-cam1:
-  T_cn_cnm1:
-  - [1.0, 0.0, 0.0, -0.11]
-  - [0.0, 1.0, 0.0, 0.002]
-  - [0.0, 0.0, 1.0, 0.003]
-  - [0.0, 0.0, 0.0, 1.0]
-  cam_overlaps: [0]
-  camera_model: pinhole
-  distortion_coeffs: [-0.28, 0.07, 0.0009, 0.0001]
-  distortion_model: radtan
-  intrinsics: [457.587, 456.134, 379.999, 255.238]
-  resolution: [752, 480]
-  rostopic: /cam1/image_raw
-"""
-
-
-def test_ros_camera_info_has_no_yaml_line(tmp_path: Path) -> None:
-    (tmp_path / "head.yaml").write_text(ROS)
-    camera = find_calibration(tmp_path / "head.yaml").cameras["head"]
-    assert camera.size == (640, 480) and camera.K[0, 2] == pytest.approx(458.198)
-    assert camera.distortion[1] == 0.0825017
-    assert storage(ROS) is not None
-
-
-def test_a_unit_that_is_no_word_is_no_unit(tmp_path: Path) -> None:
-    (tmp_path / "head.yaml").write_text(ROS + "length_unit: [metre]\n")
-    assert find_calibration(tmp_path / "head.yaml").unit == "arbitrary"
-
-
-def test_kalibr_as_it_writes_it(tmp_path: Path) -> None:
-    (tmp_path / "camchain.yaml").write_text(KALIBR)
-    rig = read_four(tmp_path / "camchain.yaml", ["cam0", "cam1"], (752, 480))
-    np.testing.assert_allclose(rig.cameras["cam1"].camera.centre, [0.11, -0.002, -0.003], atol=1e-15)
-    assert rig.cameras["cam0"].camera.K[1, 2] == 246.549
-
-
-TOML = """[cam_0]
-name = "a"
-size = [1280, 720]
-matrix = [[900.0, 0.0, 640.0], [0.0, 900.0, 360.0], [0.0, 0.0, 1.0]]
-distortions = [0.1, 0.0, 0.0, 0.0, 0.0]
-rotation = [0.0, 0.0, 0.0]
-translation = [0.0, 0.0, 0.0]
-"""
-QUALISYS = """<calibration><cameras><camera serial='a'>
-<fov_video left='0' top='0' right='99' bottom='9'/></camera></cameras></calibration>"""
-EASYMOCAP = """%YAML:1.0
----
-names:
-  - "a"
-K_a: !!opencv-matrix
-   rows: 3
-   cols: 3
-   dt: d
-   data: [ {K} ]
-"""
-
-
-OPENCV_FILE = "%YAML:1.0\n---\ncamera_matrix: {rows: ROWS, cols: COLS, data: [1., 2., 3., 4.]}\n"
-
-
-@pytest.mark.parametrize(
-    ("file", "text", "code", "named"),
-    [
-        (
-            "c.toml",
-            TOML.replace("[900.0, 0.0, 640.0]", "[nan, 0.0, 640.0]"),
-            "entry-wrong",
-            ("matrix", "nan"),
-        ),
-        (
-            "c.toml",
-            TOML.replace("[900.0, 0.0, 640.0]", "[900.0, 3.0, 640.0]"),
-            "lens-unread",
-            ("[cam_0]: matrix", "skew 3"),
-        ),
-        ("c.toml", TOML.replace("[[900.0", "[[-900.0"), "entry-wrong", ("matrix", "-900", "fx")),
-        (
-            "c.toml",
-            TOML.replace("[0.1, 0.0, 0.0, 0.0, 0.0]", "[0.1, 0, 0, 0, 0, 0.2, 0, 0.3]"),
-            "lens-unread",
-            ("k4 = 0.2, k6 = 0.3",),
-        ),
-        (
-            "c.toml",
-            TOML.replace("[0.1, 0.0, 0.0, 0.0, 0.0]", "[0.1, 0.0, 0.0]"),
-            "entry-wrong",
-            ("3 coefficients",),
-        ),
-        (
-            "c.toml",
-            TOML.replace("rotation = [0.0, 0.0, 0.0]", "rotation = [[1, 0, 0], [0, -1, 0], [0, 0, 1]]"),
-            "pose-not-rigid",
-            ("determinant -1",),
-        ),
-        (
-            "c.toml",
-            TOML.replace("rotation = [0.0, 0.0, 0.0]", "rotation = [[2, 0, 0], [0, 1, 0], [0, 0, 1]]"),
-            "pose-not-rigid",
-            ("determinant 2",),
-        ),
-        ("c.toml", TOML.replace("[1280, 720]", "[1280.5, 720]"), "entry-wrong", ("1280.5x720",)),
-        (
-            "c.toml",
-            TOML.replace("rotation = [0.0, 0.0, 0.0]", "rotation = [0.0, 0.0]"),
-            "entry-wrong",
-            ("rotation", "2"),
-        ),
-        (
-            "c.toml",
-            TOML.replace("rotation = [0.0, 0.0, 0.0]", "rotation = [[0, 0], 1]"),
-            "entry-wrong",
-            ("rotation",),
-        ),
-        ("c.yaml", KALIBR.replace("pinhole", "omni"), "lens-unread", ("camera_model", "'omni'")),
-        ("c.yaml", KALIBR.replace("radtan", "fov"), "lens-unread", ("distortion_model", "'fov'")),
-        ("c.yaml", KALIBR.replace("T_cn_cnm1", "T_c1_c0"), "entry-missing", ("cam1: T_cn_cnm1", "4x4")),
-        ("c.yaml", KALIBR.replace("  resolution: [752, 480]\n", ""), "entry-missing", ("resolution",)),
-        ("c.yaml", KALIBR.replace("[752, 480]", "1" + ":00" * 200 + ".0"), "calibration-unread", ()),
-        ("c.yaml", KALIBR.replace("radtan", "[radtan]"), "lens-unread", ("distortion_model", "['radtan']")),
-        ("c.yaml", ROS.replace("plumb_bob", "ds"), "lens-unread", ("distortion_model", "'ds'")),
-        (
-            "c.yaml",
-            ROS.replace("plumb_bob", "[plumb_bob]"),
-            "lens-unread",
-            ("distortion_model", "['plumb_bob']"),
-        ),
-        ("c.yml", OPENCV_FILE.replace("ROWS", "-1").replace("COLS", "-4"), "entry-wrong", ("3x3",)),
-        (
-            "c.yml",
-            OPENCV_FILE.replace("ROWS", "2").replace("COLS", "2").replace("4.", "[4., 5.]"),
-            "entry-wrong",
-            ("3x3",),
-        ),
-        (
-            "c.yml",
-            OPENCV_FILE.replace("ROWS", "1")
-            .replace("COLS", "2")
-            .replace("1., 2., 3., 4.", "{rows: 1, cols: 1, data: [1.]}, {rows: 1, cols: 2, data: [1., 2.]}"),
-            "entry-wrong",
-            ("3x3",),
-        ),
-        ("c.yaml", ROS.replace("[538.63, 0,", "["), "entry-wrong", ("camera_matrix", "7")),
-        ("c.qca.txt", QUALISYS, "entry-wrong", ("camera a: transform.x is None",)),
-        ("c.yml", EASYMOCAP.replace("{K}", "1., 0., 0., 0., 1., 0., 0., 1."), "entry-wrong", ("K_a",)),
-        ("c.txt", "nonsense", "calibration-unread", ()),
-        ("c.toml", "a = 1", "calibration-unread", ()),
-        ("c.xml", "<a/>", "calibration-unread", ()),
-        ("c.yml", "", "calibration-unread", ()),
-    ],
-)
-def test_a_value_that_cannot_be_used_is_named(
-    file: str, text: str, code: str, named: tuple, tmp_path: Path
-) -> None:
-    (tmp_path / file).write_text(text)
-    with refused(code, tmp_path, *named):
-        find_calibration(tmp_path / file)
-
-
+TABLE = table("calibrations")
 LENS = [-0.31, 0.12, 0.001, -0.0005, -0.02]
-MATRIX = "data: [900, 0, 640, 0, 900, 360, 0, 0, 1]"
-TOML_NO_LENS = "[cam_0]\nname = 'a'\nsize = [1280, 720]\nmatrix = [[900, 0, 640], [0, 900, 360], [0, 0, 1]]\n"
-OTHER_NAMES = ("dist_coeff", "dist_coeffs", "distortion", "distortion_coefs", "dist")
 
 
-def of_matrix(more: str) -> str:
-    return f"%YAML:1.0\n---\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   {MATRIX}\n{more}"
+def of_table(path: Path, text: str, words: dict[str, str]) -> Path:
+    """A text of the table with some words replaced, in a file."""
+    content = TABLE["texts"][text]
+    for old, new in words.items():
+        assert old in content
+        content = content.replace(old, "1" + ":00" * 200 + ".0" if new == "MANY_COLONS" else new)
+    path.write_text(content.replace("LENS", str(LENS)[1:-1]))
+    return path
 
 
-def kalibr(key: str) -> str:
-    return KALIBR.replace("distortion_coeffs", key)
+@pytest.mark.parametrize(("file", "text", "words", "code", "named"), TABLE["refused"])
+def test_what_cannot_be_used_is_named(
+    file: str, text: str, words: dict, code: str, named: list, tmp_path: Path
+):
+    with refused(code, tmp_path, *named, kind=InputError):
+        find_calibration(of_table(tmp_path / file, text, words))
 
 
-@pytest.mark.parametrize("key", OTHER_NAMES)
-def test_a_lens_under_another_name(key: str, tmp_path: Path) -> None:
-    texts = {
-        "a.yml": of_matrix(f"{key}: {LENS}\n"),
-        "b.yml": of_matrix(f"{key}: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: {LENS}\n"),
-        "c.toml": f"{TOML_NO_LENS}{key} = {LENS}\n",
+@pytest.mark.parametrize(("file", "text", "words", "expected"), TABLE["read"])
+def test_what_files_of_others_say(file: str, text: str, words: dict, expected: dict, tmp_path: Path) -> None:
+    found = find_calibration(of_table(tmp_path / file, text, words))
+    camera = next(iter(found.cameras.values()))
+    K, lens = camera.K, camera.distortion.tolist()
+    said = {
+        "size": list(camera.size or ()),
+        "lens": LENS if lens == LENS else lens,
+        "k2": lens[1],
+        "unit": found.unit,
     }
-    for file, text in texts.items():
-        (tmp_path / file).write_text(text)
-        (camera,) = find_calibration(tmp_path / file).cameras.values()
-        assert camera.distortion.tolist() == LENS, file
-    (tmp_path / "d.yaml").write_text(kalibr(key))
-    assert find_calibration(tmp_path / "d.yaml").cameras["cam0"].distortion[1] == 0.06712482
+    said["K"] = pytest.approx([K[0, 0], K[1, 1], *K[:2, 2]])
+    assert {key: said[key] for key in expected} == expected | (
+        {"lens": LENS} if expected.get("lens") == "LENS" else {}
+    )
 
 
-@pytest.mark.parametrize(
-    ("file", "text", "key"),
-    [
-        ("a.yml", of_matrix(""), "distortion_coefficients"),
-        ("a.yml", of_matrix(f"dist: {LENS}\ndistortion: {LENS}\n"), "dist"),
-        ("a.yml", of_matrix(f"bend: {LENS}\n"), "bend"),
-        ("c.toml", TOML_NO_LENS, "distortions"),
-        ("d.yaml", kalibr("bend"), "distortion_coeffs"),
-        ("intrinsics.yml", of_matrix("").replace("camera_matrix", "M1"), "D1"),
-        ("intri.yml", of_matrix('names: ["a"]\n').replace("camera_matrix", "K_a"), "dist_a"),
-    ],
-)
-def test_a_lens_that_is_not_stated_is_asked_for(file: str, text: str, key: str, tmp_path: Path) -> None:
-    (tmp_path / file).write_text(text)
-    with refused("entry-missing", tmp_path / file, key, "[]", kind=InputError):
-        find_calibration(tmp_path / file)
+@pytest.mark.parametrize("key", TABLE["other_names"])
+def test_a_lens_under_another_name(key: str, tmp_path: Path) -> None:
+    matrix = f"{key}: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n   data: {LENS}"
+    for file, text, line in (
+        ("a.yml", "matrix", f"{key}: {LENS}"),
+        ("b.yml", "matrix", matrix),
+        ("c.toml", "bare", f"{key} = {LENS}"),
+    ):
+        found = find_calibration(of_table(tmp_path / file, text, {"LENS": line}))
+        assert [c.distortion.tolist() for c in found.cameras.values()] == [LENS], file
+    path = of_table(tmp_path / "d.yaml", "kalibr", {"distortion_coeffs": key})
+    assert find_calibration(path).cameras["cam0"].distortion[1] == 0.06712482
 
 
-def test_kalibr_says_which_lens_its_coefficients_are_of(tmp_path: Path) -> None:
-    (tmp_path / "d.yaml").write_text(KALIBR.replace("  distortion_model: radtan\n", ""))
-    with refused("lens-unread", "cam0", "distortion_model", "radtan", kind=InputError):
-        find_calibration(tmp_path / "d.yaml")
+def test_kalibr_has_poses_from_camera_to_camera(tmp_path: Path) -> None:
+    rig = read_four(of_table(tmp_path / "camchain.yaml", "kalibr", {}), ["cam0", "cam1"], (752, 480))
+    np.testing.assert_allclose(rig.cameras["cam1"].camera.centre, [0.11, -0.002, -0.003], atol=1e-15)
 
 
-@pytest.mark.parametrize("model", ["", "distortion_model: equidistant\n"])
-def test_a_lens_stated_to_have_no_distortion(model: str, tmp_path: Path) -> None:
-    (tmp_path / "a.yml").write_text(of_matrix(f"{model}distortion_coefficients: []\n"))
-    assert not find_calibration(tmp_path / "a.yml").cameras["a"].distortion.any()
-
-
-def test_json_of_opencv_and_with_its_keys(tmp_path: Path) -> None:
-    rows = [[500.0, 0, 319.5], [0, 500, 239.5], [0, 0, 1]]
-    for name, content in {
-        "lists": {"camera_matrix": rows, "dist_coeff": [LENS], "image_width": 640, "image_height": 480},
-        "matrix": {"camera_matrix": {"rows": 3, "cols": 3, "data": sum(rows, [])}, "dist": LENS},
-    }.items():
-        (tmp_path / f"{name}.json").write_text(json.dumps(content))
-        camera = find_calibration(tmp_path / f"{name}.json").cameras[name]
-        assert camera.K.tolist() == [[500, 0, 320], [0, 500, 240], [0, 0, 1]]
-        assert camera.distortion.tolist() == LENS
-    (tmp_path / "lists.json").write_text("{")
-    with refused("calibration-unread", "lists.json", kind=InputError):
-        find_calibration(tmp_path / "lists.json")
-
-
-@pytest.mark.parametrize(
-    "value", ["1.2", "!!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1.2 ]"]
-)
-def test_an_omnidirectional_lens_is_named(value: str, tmp_path: Path) -> None:
-    (tmp_path / "a.yml").write_text(of_matrix(f"xi: {value}\ndistortion_coefficients: [0.1, 0, 0, 0]\n"))
-    with refused("lens-unread", "a.yml", "xi is [1.2]", kind=InputError):
-        find_calibration(tmp_path / "a.yml")
+def test_ros_camera_info_has_no_yaml_line() -> None:
+    assert storage(TABLE["texts"]["ros"]) is not None

@@ -2,40 +2,17 @@
 
 import numpy as np
 import pytest
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
+from tests.make.pictures import Pictures, course_of, film_of_room
 
 from devrf.calibration.flicker import EXPOSURE_STOPS, judge_light, steady_gains
-from devrf.capture.light import LightCourse, LightMeter
-from devrf.capture.srgb import LINEAR_OF_LEVEL, srgb_from_linear
+from devrf.capture.srgb import LINEAR_OF_LEVEL
 
 FPS = 29.97
 FRAMES = 120
 
 
-def film(light: Float[np.ndarray, "n rows 3"], seed: int = 0) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """Pictures of a wall of patches under light that differs by rows, noise of one level, with a square that moves."""
-    rng = np.random.default_rng(seed)
-    wall = rng.uniform(0.04, 0.4, (12, 16, 3)).repeat(10, axis=0).repeat(10, axis=1)
-    pictures = []
-    for n, rows in enumerate(light):
-        scene = wall.copy()
-        x = (7 * n) % 100
-        scene[30:90, x : x + 40] = 0.6
-        linear = scene * rows.repeat(120 // len(rows), axis=0)[:, None]
-        levels = 255 * srgb_from_linear(np.clip(linear, 0, 1)) + rng.standard_normal(scene.shape)
-        pictures.append(np.clip(levels, 0, 255).round().astype(np.uint8))
-    return pictures
-
-
-def measure(pictures: list[UInt8[np.ndarray, "h w 3"]], time_s: Float[np.ndarray, " n"]) -> LightCourse:
-    """As ingest measures it."""
-    meter = LightMeter()
-    for n, picture in enumerate(pictures):
-        meter.add(n, float(time_s[n]), picture)
-    return meter.course()
-
-
-def spread(pictures: list[UInt8[np.ndarray, "h w 3"]], gains: Float[np.ndarray, "n 3"]) -> float:
+def spread(pictures: Pictures, gains: Float[np.ndarray, "n 3"]) -> float:
     """RMS over frames and channels of the wall's light against its mean (its left columns, before nothing moves)."""
     light = np.array([LINEAR_OF_LEVEL[p[:30]].mean(axis=(0, 1)) for p in pictures]) * gains
     return float((light / light.mean(axis=0)).std())
@@ -45,8 +22,8 @@ TIME_S = np.arange(FRAMES) / FPS
 
 
 def test_a_steady_clip_is_left_alone():
-    pictures = film(np.ones((FRAMES, 1, 3)))
-    course = measure(pictures, TIME_S)
+    pictures = film_of_room(np.ones((FRAMES, 1, 3)))
+    course = course_of(pictures, TIME_S)
     assert judge_light(course).steady
     assert steady_gains(course) is None
 
@@ -56,7 +33,7 @@ def test_a_lamp_seen_at_half_the_frame_rate():
     time_s = np.arange(FRAMES) / 16
     for depth, fires in ((0.003, False), (0.05, True)):
         light = 1 + depth / 2 * np.cos(2 * np.pi * 120 * time_s)
-        found = judge_light(measure(film(light[:, None, None] * np.ones(3)), time_s)).flicker
+        found = judge_light(course_of(film_of_room(light[:, None, None] * np.ones(3)), time_s)).flicker
         assert (found is not None) == fires
         # what lies between the two frames of a wave is not seen: a wave of sqrt(2) fits as well
         if found is not None:
@@ -65,8 +42,8 @@ def test_a_lamp_seen_at_half_the_frame_rate():
 
 def test_automatic_exposure():
     stops = 0.4 * np.clip((TIME_S - 1.0) / 1.5, 0, 1)
-    pictures = film(np.exp2(stops)[:, None, None] * np.ones(3))
-    course = measure(pictures, TIME_S)
+    pictures = film_of_room(np.exp2(stops)[:, None, None] * np.ones(3))
+    course = course_of(pictures, TIME_S)
     found = judge_light(course)
     assert found.exposure is not None and found.colour is None and found.flicker is None
     # 0.003 stops by the derivation in test_light.py, at both ends; the ramp's ends are a tenth of it inside.
@@ -84,15 +61,15 @@ def test_automatic_exposure():
 def test_darkening_and_short_passers_by():
     stops = np.where(TIME_S > 2, -0.2, 0.0)
     stops[30:33] = 1.0  # a flash of three frames is no change of exposure
-    found = judge_light(measure(film(np.exp2(stops)[:, None, None] * np.ones(3)), TIME_S)).exposure
+    found = judge_light(course_of(film_of_room(np.exp2(stops)[:, None, None] * np.ones(3)), TIME_S)).exposure
     assert found is not None and found.stops == pytest.approx(-0.2, abs=0.006)
     assert found.from_s == pytest.approx(2.0, abs=0.1) and found.to_s == pytest.approx(2.0, abs=0.1)
 
 
 def test_automatic_white_balance():
     tint = np.clip(TIME_S - 2.0, 0, 1)[:, None] * np.array([0.1, 0.0, -0.16])
-    pictures = film(np.exp2(tint)[:, None])
-    course = measure(pictures, TIME_S)
+    pictures = film_of_room(np.exp2(tint)[:, None])
+    course = course_of(pictures, TIME_S)
     found = judge_light(course)
     assert found.colour is not None and found.colour.stops == pytest.approx(-0.16, abs=0.006)
     assert found.exposure is None  # the mean of the three changes by 0.02 stops
@@ -104,7 +81,9 @@ def test_automatic_white_balance():
 def test_what_gains_leave_of_light_that_changes_from_place_to_place():
     """A lamp that sinks: what falls down the picture by 0.4 stops differs from its middle by 0.1 in the median."""
     falls = np.linspace(-0.2, 0.2, 12) * np.clip(TIME_S - 2.0, 0, 1)[:, None]
-    found = judge_light(measure(film(np.exp2(falls - 0.5 * (falls != 0))[..., None] * np.ones(3)), TIME_S))
+    found = judge_light(
+        course_of(film_of_room(np.exp2(falls - 0.5 * (falls != 0))[..., None] * np.ones(3)), TIME_S)
+    )
     assert found.exposure is not None and found.left == pytest.approx(0.1, abs=0.036)  # between rows
 
 
@@ -112,8 +91,8 @@ def test_what_gains_leave_of_light_that_changes_from_place_to_place():
 def test_mains_flicker(lamp_hz, fps):
     time_s = np.arange(FRAMES) / fps
     light = 1 + 0.05 * np.sin(2 * np.pi * lamp_hz * time_s)  # all rows at once
-    pictures = film(light[:, None, None] * np.ones(3))
-    course = measure(pictures, time_s)
+    pictures = film_of_room(light[:, None, None] * np.ones(3))
+    course = course_of(pictures, time_s)
     found = judge_light(course)
     assert found.flicker is not None
     # 1.05 / 0.95 - 1. A frame errs by 0.003 stops (test_light.py), 4 % of the wave's 0.07.
@@ -129,7 +108,7 @@ def test_mains_flicker(lamp_hz, fps):
 def test_flicker_of_a_rolling_shutter_is_seen_in_bands():
     rows_s = np.arange(120) / 120 * 0.02  # two whole waves of 100 Hz: the mean over the picture stays
     light = 1 + 0.05 * np.sin(2 * np.pi * 100 * (TIME_S[:, None] + rows_s))
-    course = measure(film(light[:, :, None] * np.ones(3)), TIME_S)
+    course = course_of(film_of_room(light[:, :, None] * np.ones(3)), TIME_S)
     found = judge_light(course)
     # 0.05 if all rows had it at once; the square hides some rows more than others
     assert course.stops.std() < 0.02
@@ -139,7 +118,7 @@ def test_flicker_of_a_rolling_shutter_is_seen_in_bands():
 
 def test_frames_that_are_not_known_follow_their_neighbours():
     stops = np.linspace(0, 0.6, FRAMES)
-    course = measure(film(np.exp2(stops)[:, None, None] * np.ones(3)), TIME_S)
+    course = course_of(film_of_room(np.exp2(stops)[:, None, None] * np.ones(3)), TIME_S)
     whole = steady_gains(course)
     course.stops[50:60] = np.nan
     gains = steady_gains(course)

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 from tests.judged import fired, judged
+from tests.make.rigs import RIG_LAYOUTS
 from tests.refused import refused
-from tests.rigs import RIG_LAYOUTS
 
 from devrf.calibration.rigs.given import Given, read_given
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from tests.datasets import LAYOUTS, write_set
+from tests.make.datasets import LAYOUTS, write_set
 from tests.refused import refused
 
 from devrf.capture.errors import CaptureError

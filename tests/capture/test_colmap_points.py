@@ -1,44 +1,19 @@
-"""Points of a COLMAP model: against bytes written by hand, and against COLMAP's own writer."""
+"""Points of a COLMAP model against COLMAP's own writer; files that are cut off are in test_bad_datasets."""
 
 import struct
 import subprocess
 import sys
 
 import numpy as np
-import pytest
 from tests.refused import refused
 
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.colmap_model import read_points
 
-POINTS = [((0.5, -1.25, 3.0), (10, 20, 30), 2), ((1e-3, 2e3, -7.0), (255, 0, 128), 5)]
-
-
-def _bytes() -> bytes:
-    out = struct.pack("<Q", len(POINTS))
-    for n, (xyz, rgb, track) in enumerate(POINTS):
-        out += struct.pack("<Qddd", n + 7, *xyz) + bytes(rgb) + struct.pack("<dQ", 0.4, track)
-        out += struct.pack("<II", 1, 2) * track
-    return out
-
 
 def _read(folder):
     points = read_points(folder).values()
     return np.array([point.xyz for point in points]), np.array([point.rgb for point in points])
-
-
-def test_reads_what_was_written(tmp_path):
-    (tmp_path / "points3D.bin").write_bytes(_bytes())
-    xyz, rgb = _read(tmp_path)
-    np.testing.assert_array_equal(xyz, [p[0] for p in POINTS])
-    np.testing.assert_array_equal(rgb, [p[1] for p in POINTS])
-
-
-@pytest.mark.parametrize("keep", [0, 7, 20, 60, -1])
-def test_cut_off_file_is_named(tmp_path, keep):
-    (tmp_path / "points3D.bin").write_bytes(_bytes()[:keep])
-    with refused("file-damaged", "points3D.bin", kind=CaptureError):
-        read_points(tmp_path)
 
 
 def test_damaged_count_does_not_allocate(tmp_path):

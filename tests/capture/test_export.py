@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 import pytest
 from plyfile import PlyData
-from tests.datasets import write_set
+from tests.make.datasets import write_set
 from tests.refused import refused
 
 from devrf.capture.errors import CaptureError, InputError
@@ -39,13 +39,15 @@ def check_frames(ours: tuple[PosedFrame, ...], theirs: tuple[PosedFrame, ...], n
 
 
 @pytest.mark.parametrize("name", WRITERS)
-@pytest.mark.parametrize("background", ["shell", "white"])
-def test_round_trip(odd_scene: Scene, tmp_path: Path, name, background):
-    scene = replace(odd_scene, background=background)
+@pytest.mark.parametrize(("background", "fisheye"), [("shell", False), ("white", False), ("shell", True)])
+def test_round_trip(odd_scene: Scene, tmp_path: Path, name, background, fisheye):
+    scene = replace(with_fisheyes(odd_scene) if fisheye else odd_scene, background=background)
     notes = write_dataset(name, scene, tmp_path / "out")
     again = read_dataset(name, tmp_path / "out")
     check_frames(scene.static, again.static, name == "nerfstudio")
     check_frames(scene.dynamic if name == "nerfstudio" else (), again.dynamic, True)
+    for ours, theirs in zip(scene.static, again.static, strict=True):
+        assert theirs.path.read_bytes() == ours.path.read_bytes()
     text = (tmp_path / "out" / "README.txt").read_text()
     assert "Axes:" in text and "metres" in text
     if name == "nerfstudio":  # box, times and background come back too
@@ -53,7 +55,8 @@ def test_round_trip(odd_scene: Scene, tmp_path: Path, name, background):
         np.testing.assert_array_equal(again.box_from_world, scene.box_from_world)
     else:
         assert any("15 pictures" in note for note in notes) and (tmp_path / "out" / "motion").is_dir()
-        assert again.points is not None and scene.points is not None
+    if name == "colmap" and scene.points is not None:
+        assert again.points is not None
         np.testing.assert_array_equal(again.points.xyz, scene.points.xyz)
         assert len(again.points.obs_point) == len(scene.points.obs_point)
 
@@ -111,15 +114,6 @@ def with_fisheyes(scene: Scene) -> Scene:
     )
 
 
-@pytest.mark.parametrize("name", WRITERS)
-def test_fisheyes_come_back(odd_scene: Scene, tmp_path: Path, name):
-    scene = with_fisheyes(odd_scene)
-    write_dataset(name, scene, tmp_path / "out")
-    again = read_dataset(name, tmp_path / "out")
-    check_frames(scene.static, again.static, name == "nerfstudio")
-    assert {f.camera.model for f in again.frames} == {"OPENCV_FISHEYE"}
-
-
 def test_nerfstudio_is_told_the_lens_at_the_top_where_it_looks(odd_scene: Scene, tmp_path: Path):
     wide = with_fisheyes(odd_scene)
     notes = write_dataset("nerfstudio", wide, tmp_path / "wide")
@@ -131,14 +125,6 @@ def test_nerfstudio_is_told_the_lens_at_the_top_where_it_looks(odd_scene: Scene,
     assert f"1 of the {len(few.frames)} pictures" in (tmp_path / "few/README.txt").read_text()
     models = [f.camera.model for f in read_dataset("nerfstudio", tmp_path / "few").static]
     assert models == ["OPENCV_FISHEYE", *["OPENCV"] * (len(models) - 1)]  # ours asks each entry
-
-
-@pytest.mark.parametrize("name", WRITERS)
-def test_pictures_are_copied(odd_scene: Scene, tmp_path: Path, name):
-    write_dataset(name, odd_scene, tmp_path / "out")
-    again = read_dataset(name, tmp_path / "out")
-    for ours, theirs in zip(odd_scene.static, again.static, strict=True):
-        assert theirs.path.read_bytes() == ours.path.read_bytes()
 
 
 def test_an_export_replaces_only_an_export_of_the_same_format(odd_scene: Scene, tmp_path: Path):
@@ -156,18 +142,18 @@ def test_an_export_replaces_only_an_export_of_the_same_format(odd_scene: Scene, 
     (out / "outputs").rmdir()
     with refused("folder-exists", "colmap", kind=InputError):
         write_dataset("nerfstudio", odd_scene, out)
-    (tmp_path / "own").mkdir()
-    (tmp_path / "own" / "notes.txt").write_text("mine")
-    with refused("folder-exists", tmp_path / "own", kind=InputError):
-        write_dataset("colmap", odd_scene, tmp_path / "own")
-    assert (tmp_path / "own" / "notes.txt").read_text() == "mine"
-    (tmp_path / "own").rename(tmp_path / ".new-own")
-    with refused("folder-exists", tmp_path / ".new-own", kind=InputError):
-        write_dataset("colmap", odd_scene, tmp_path / "own")
-    (tmp_path / ".new-own").rename(tmp_path / "own")
-    (tmp_path / "own" / MARKER).write_bytes(b"\xff\xfe\x00")
-    with refused("folder-exists", tmp_path / "own", kind=InputError):
-        write_dataset("colmap", odd_scene, tmp_path / "own")
+    own, new = tmp_path / "own", tmp_path / ".new-own"
+    own.mkdir()
+    (own / "notes.txt").write_text("mine")
+    for there in (own, new, own):  # something else; in the way of what is made; with a mark that is none
+        if there is not own:
+            own.rename(new)
+        elif new.exists():
+            new.rename(own)
+            (own / MARKER).write_bytes(b"\xff\xfe\x00")
+        with refused("folder-exists", there, kind=InputError):
+            write_dataset("colmap", odd_scene, own)
+        assert (there / "notes.txt").read_text() == "mine"
 
 
 def test_a_failed_export_leaves_nothing(odd_scene: Scene, tmp_path: Path):

@@ -1,8 +1,8 @@
 """Clips whose fields are coded as pictures."""
 
-import av
 import numpy as np
 import pytest
+from tests.make.clips import film
 
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.fields import SecondFields
@@ -34,17 +34,8 @@ def test_two_fields_are_one_picture(crew_files, tmp_path):
     ],
 )
 def test_frames_of_interlaced_clips_are_counted_as_they_are(tmp_path, codec, name, options):
-    path = tmp_path / name
-    rng = np.random.default_rng(0)
-    with av.open(str(path), "w") as out:
-        stream = out.add_stream(codec, rate=25)
-        stream.width, stream.height, stream.pix_fmt, stream.options = 96, 64, "yuv420p", options
-        for _ in range(12):
-            picture = rng.integers(0, 255, (64, 96, 3), np.uint8)
-            for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
-                out.mux(packet)
-        for packet in stream.encode(None):
-            out.mux(packet)
+    pictures = np.random.default_rng(0).integers(0, 255, (12, 64, 96, 3), np.uint8)
+    path = film(tmp_path / name, list(pictures), codec, **options)
     assert scan_packets(path).count == 12
 
 

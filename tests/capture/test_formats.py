@@ -6,8 +6,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tests.make.scenes import scene_of
 from tests.refused import refused
-from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
@@ -109,25 +109,6 @@ def test_nerfstudio_files_of_others_with_global_intrinsics(tmp_path):
     (frame,) = read_transforms(tmp_path / "transforms.json")
     assert frame.camera.K[1, 1] == 51 and frame.camera.distortion[0] == -0.1 and frame.time is None
     np.testing.assert_allclose(frame.camera.cam_from_world, np.eye(4)[:3], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("content", "refusal"),
-    [
-        (None, ("file-missing", "transforms.json")),
-        ("{", ("file-damaged", "transforms.json")),
-        ('{"frames": []}', ("pictures-none", "transforms.json")),
-        (
-            '{"fl_x": 5, "frames": [{"file_path": "no.png", "transform_matrix": []}]}',
-            ("picture-missing", "no.png"),
-        ),
-    ],
-)
-def test_bad_transforms_are_named(tmp_path, content, refusal):
-    if content is not None:
-        (tmp_path / "transforms.json").write_text(content)
-    with refused(*refusal, kind=CaptureError):
-        read_dataset("nerfstudio", tmp_path)
 
 
 def test_published_layout(data_dir):

@@ -112,9 +112,6 @@ def test_folders_without_photos(tmp_path):
         list_pictures(tmp_path)
     with refused("folder-missing", tmp_path / "nothing", kind=InputError):
         list_pictures(tmp_path / "nothing")
-    (tmp_path / "a.heic").touch()
-    with refused("picture-kind-unread", "HEIC", "JPEG", kind=InputError):
-        list_pictures(tmp_path)
 
 
 def test_clip_keeps_the_sharpest_of_each_window(make_clip, pictures, tmp_path):

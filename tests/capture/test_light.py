@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
-from jaxtyping import Float, UInt8
+from tests.make.pictures import Pictures, course_of, film_of_room, levels_of, room
 from tests.refused import refused
 
 from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.errors import CaptureError
-from devrf.capture.light import BANDS, LightCourse, LightMeter, clipped_share, highlight_faults
+from devrf.capture.light import BANDS, LightCourse, clipped_share, highlight_faults
 from devrf.capture.photos import extract_folder
 from devrf.capture.pictures import write_picture
-from devrf.capture.srgb import srgb_from_linear
 
 # A cell is the mean of 25 pixels (here), the course the median of some 400 cells. With noise of one level (0.9 % of the
 # light at mid grey) and rounding (0.3 levels), a cell errs by 0.3 %, their median by 1.25 * 0.3 % / sqrt(400) = 0.02 %,
@@ -20,45 +19,18 @@ MEASURED_STOPS = 0.003
 CELL_STOPS = 0.02  # a dark cell at half the light errs by 1 % in each of two frames, with rounding
 
 
-def room(rng: np.random.Generator, height: int = 120, width: int = 160) -> Float[np.ndarray, "h w 3"]:
-    """A wall of patches of many colours, linear light from 0.04 to 0.4."""
-    patches = rng.uniform(0.04, 0.4, (12, 16, 3))
-    return patches.repeat(height // 12, axis=0).repeat(width // 16, axis=1)
-
-
-def film(
-    light: Float[np.ndarray, "n 3"], seed: int = 0, noise: float = 1.0
-) -> list[UInt8[np.ndarray, "h w 3"]]:
-    """Pictures of the room under changing light, with a bright square that moves, covering a fifth."""
-    rng = np.random.default_rng(seed)
-    wall = room(rng)
-    pictures = []
-    for n, gain in enumerate(light):
-        scene = wall.copy()
-        x = (7 * n) % 100
-        scene[30:90, x : x + 64] = 0.6
-        levels = 255 * srgb_from_linear(np.clip(scene * gain, 0, 1))
-        pictures.append(
-            np.clip(levels + noise * rng.standard_normal(levels.shape), 0, 255).round().astype(np.uint8)
-        )
-    return pictures
-
-
-def measure(pictures: list[UInt8[np.ndarray, "h w 3"]], fps: float = 25.0) -> LightCourse:
-    """The course of pictures at a steady rate."""
-    meter = LightMeter()
-    for n, picture in enumerate(pictures):
-        meter.add(n, n / fps, picture)
-    return meter.course()
+def film(light: np.ndarray) -> Pictures:
+    """The square covers a fifth."""
+    return film_of_room(light[:, None], square=64)
 
 
 def test_gains_are_measured_on_the_background():
     rng = np.random.default_rng(1)
     light = np.exp2(rng.uniform(-0.7, 0.7, (20, 3)))
     light[0] = 1
-    course = measure(film(light))
+    course = course_of(film(light))
     np.testing.assert_allclose(course.stops, np.log2(light), atol=3 * MEASURED_STOPS)
-    steady = measure(film(np.ones((20, 3))))
+    steady = course_of(film(np.ones((20, 3))))
     np.testing.assert_allclose(steady.stops, 0, atol=MEASURED_STOPS)
     np.testing.assert_allclose(np.nanmedian(steady.bands), 0, atol=MEASURED_STOPS)
 
@@ -67,8 +39,8 @@ def test_bands():
     rng = np.random.default_rng(2)
     wall = room(rng)
     gain = np.exp2(np.linspace(-0.1, 0.1, 120))[:, None, None]  # light falls as the sensor reads down
-    pictures = [(255 * srgb_from_linear(scene)).round().astype(np.uint8) for scene in (wall, wall * gain)]
-    bands = measure(pictures).bands[1]
+    pictures = [levels_of(scene) for scene in (wall, wall * gain)]
+    bands = course_of(pictures).bands[1]
     middles = (np.arange(BANDS) + 0.5) / BANDS * 0.2 - 0.1
     # The steepest change within a band is 0.2 / 12 stops; a median of its two rows of cells lies within half of it.
     np.testing.assert_allclose(bands, middles, atol=0.1 / BANDS + MEASURED_STOPS)
@@ -76,20 +48,20 @@ def test_bands():
 
 def test_what_one_gain_leaves():
     """Little of one gain for all, though something moves; of light that falls down a picture a quarter of the range."""
-    even = measure(film(np.exp2([[0.0], [0.5], [-1.0]]) * np.ones(3)))
+    even = course_of(film(np.exp2([[0.0], [0.5], [-1.0]]) * np.ones(3)))
     assert np.all(even.left < CELL_STOPS)
     wall = room(np.random.default_rng(2))
     gain = np.exp2(np.linspace(-0.1, 0.1, 120))[:, None, None]
-    pictures = [(255 * srgb_from_linear(scene)).round().astype(np.uint8) for scene in (wall, wall * gain)]
-    assert measure(pictures).left[1] == pytest.approx(0.2 / 4, abs=CELL_STOPS)
+    pictures = [levels_of(scene) for scene in (wall, wall * gain)]
+    assert course_of(pictures).left[1] == pytest.approx(0.2 / 4, abs=CELL_STOPS)
 
 
 def test_not_known_where_the_subject_fills_the_picture():
     rng = np.random.default_rng(3)
-    pictures = [(255 * srgb_from_linear(room(rng))).round().astype(np.uint8) for _ in range(3)]
-    course = measure(pictures)
+    pictures = [levels_of(room(rng)) for _ in range(3)]
+    course = course_of(pictures)
     assert np.isfinite(course.stops[0]).all() and np.isnan(course.stops[1:]).all()
-    black = measure([np.zeros((60, 80, 3), np.uint8)] * 2)
+    black = course_of([np.zeros((60, 80, 3), np.uint8)] * 2)
     assert np.isnan(black.stops).all()
 
 
@@ -105,7 +77,7 @@ def test_clipped_share():
 
 @pytest.mark.parametrize("role", ["sweep", "camera", "board"])
 def test_clipped_clips_and_photos_are_named(make_clip, tmp_path, role):
-    picture = room_levels()
+    picture = levels_of(room(np.random.default_rng(4)))
     picture[:40] = 255
     clip = make_clip("a.mp4", [picture] * 3)
     got = extract_clip(clip, tmp_path / "out", "cam0", role, "a.mp4", Keep()).frames
@@ -117,13 +89,8 @@ def test_clipped_clips_and_photos_are_named(make_clip, tmp_path, role):
         assert bool(texts) == (role != "board") and all(text.startswith("33 %") for text in texts)
 
 
-def room_levels() -> UInt8[np.ndarray, "h w 3"]:
-    """The room in sRGB."""
-    return (255 * srgb_from_linear(room(np.random.default_rng(4)))).round().astype(np.uint8)
-
-
 def test_file(tmp_path):
-    course = measure(film(np.ones((3, 3))))
+    course = course_of(film(np.ones((3, 3))))
     course.write(tmp_path / "cam0.npy")
     again = LightCourse.read(tmp_path / "cam0.npy")
     for name in ("index", "time_s", "stops", "left", "bands"):

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.make.pictures import frame_of
+from tests.make.scenes import scene_of
 from tests.refused import refused
-from tests.scenes import scene_of
 
-from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
 from devrf.capture.formats.datasets import write_dataset
 from devrf.capture.formats.files import read_json, write_json
@@ -24,10 +24,8 @@ def picture(height: int = 40, width: int = 70) -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, (height, width, 3)).astype(np.uint8)
 
 
-def frame(path, look: Look | None, height: int = 40, width: int = 70) -> PosedFrame:
-    K = np.array([[50.0, 0, width / 2], [0, 50.0, height / 2], [0, 0, 1]])
-    camera = Camera(width, height, K, np.eye(4)[:3])
-    return PosedFrame(path, camera, "cam0", 0, 0.0, 0.0, "train", look=look)
+def frame(path, look: Look | None) -> PosedFrame:
+    return frame_of(path, 70, 40, look)
 
 
 @pytest.mark.parametrize("matrix", [Look().matrix, as_matrix(np.diag([1.2, 1.0, 0.7])), MIXED])
@@ -87,7 +85,7 @@ def test_a_damaged_look_is_named(tmp_path):
 def test_exports_hold_corrected_pictures(tmp_path, dataset_format):
     write_png(tmp_path / "a.png", picture())
     look = Look(MIXED)
-    still = replace(frame(tmp_path / "a.png", look), camera_name="static", time=None, time_s=None)
+    still = frame(tmp_path / "a.png", look)
     second = replace(still, index=1, look=None)
     scene = scene_of((still, second), far=2.0, rest_time=None)
     write_dataset(dataset_format, scene, tmp_path / "out")

@@ -7,11 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.make.tables import table
 from tests.refused import refused
 
-from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.formats import FLIP_YZ, read_dataset
+from devrf.capture.formats import read_dataset
 from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.scene import background_of, load_image, plain_colour
 
@@ -33,31 +33,33 @@ def opengl(angle: float) -> np.ndarray:
     return out
 
 
-def transforms(path: Path, entries: list[dict], angle_x: float) -> None:
-    for entry in entries:
-        picture(path.parent / (entry["file_path"] + ".png"), channels=4)
-    path.write_text(json.dumps({"camera_angle_x": angle_x, "frames": entries}))
+def transforms(
+    path: Path, names: list[str], poses: list[float], entries: list[dict] | None = None, **common: object
+) -> Path:
+    """A file of these pictures, and the pictures; Blender's have no ending, and alpha."""
+    content = []
+    for name, angle, more in zip(names, poses, entries or [{}] * len(names), strict=True):
+        ending, channels = ("", 3) if path.name == "transforms.json" else (".png", 4)
+        picture(path.parent / f"{name}{ending}", channels=channels)
+        content.append({"file_path": name, "transform_matrix": opengl(angle).tolist(), **more})
+    path.write_text(json.dumps({**common, "frames": content}))
+    return path.parent
 
 
 @pytest.fixture
 def inward(tmp_path: Path) -> Path:
     """Two views of three times in mixed order, with flow; each file has its own focal length; no validation."""
-    (tmp_path / "static").mkdir()
-    (tmp_path / "dynamic_2views").mkdir()
-    at_rest = [{"file_path": f"./train/r_{n}", "transform_matrix": opengl(n).tolist()} for n in range(6)]
-    transforms(tmp_path / "static/transforms_train.json", at_rest, 1.0)
-    test = [{"file_path": "./test/r_0", "transform_matrix": opengl(0.5).tolist()}]
-    transforms(tmp_path / "static/transforms_test.json", test, 0.9)
+    static, dynamic = (tmp_path / name for name in ("static", "dynamic_2views"))
+    for folder in (static, dynamic):
+        folder.mkdir()
+    names = [f"./train/r_{n}" for n in range(6)]
+    transforms(static / "transforms_train.json", names, list(range(6)), camera_angle_x=1.0)
+    transforms(static / "transforms_test.json", ["./test/r_0"], [0.5], camera_angle_x=0.9)
     order = [(1, 2), (0, 0), (1, 0), (0, 2), (0, 1), (1, 1)]  # (view, time)
-    moving = [
-        {
-            "file_path": f"./train/r_{view}_{time}",
-            "transform_matrix": opengl(3.0 * view).tolist(),
-            "time": time / 2,
-        }
-        for view, time in order
-    ]
-    transforms(tmp_path / "dynamic_2views/transforms_train.json", moving, 0.8)
+    names = [f"./train/r_{view}_{time}" for view, time in order]
+    times = [{"time": time / 2} for _, time in order]
+    poses = [3.0 * view for view, _ in order]
+    transforms(dynamic / "transforms_train.json", names, poses, times, camera_angle_x=0.8)
     (tmp_path / "dynamic_2views/train_flow").mkdir()
     for number, (view, time) in enumerate(order):
         if time:
@@ -255,13 +257,12 @@ def test_fixed_cameras_that_are_not_the_last_at_rest_are_refused(forward: Path):
 
 
 def nerfstudio(folder: Path, times: list[float | None], **more: object) -> None:
-    entries = []
-    for n, time in enumerate(times):
-        picture(folder / f"images/{n}.png")
-        entry = {"file_path": f"images/{n}.png", "transform_matrix": opengl(n % 3).tolist()}
-        entries.append(entry if time is None else {**entry, "time": time})
-    meta = {"fl_x": FOCAL, **more, "frames": entries}
-    (folder / "transforms.json").write_text(json.dumps(meta))
+    names = [f"images/{n}.png" for n in range(len(times))]
+    entries = [{} if time is None else {"time": time} for time in times]
+    folder.mkdir(exist_ok=True)
+    transforms(
+        folder / "transforms.json", names, [n % 3 for n in range(len(times))], entries, fl_x=FOCAL, **more
+    )
 
 
 def test_nerfstudio_seconds_are_rescaled_and_said(tmp_path: Path):
@@ -357,11 +358,6 @@ def test_names_of_plain_colours():
         plain_colour("#12345")
 
 
-def test_flip_is_its_own_inverse():
-    np.testing.assert_array_equal(FLIP_YZ @ FLIP_YZ, np.eye(4))
-    assert isinstance(Camera(2, 2, np.eye(3), np.eye(4)[:3]).moved(FLIP_YZ), Camera)
-
-
 def test_names_as_windows_writes_them(tmp_path: Path):
     files = ["images/0.png", "images/1.JPG", "images/2.png", "masks/0.png"]
     for file in files:
@@ -382,97 +378,29 @@ def test_names_as_windows_writes_them(tmp_path: Path):
 
 
 def test_a_backslash_in_the_name_of_a_file_stays_one(tmp_path: Path):
-    entries = [{"file_path": f"a\\{n}.png", "transform_matrix": opengl(n).tolist()} for n in range(2)]
+    names = ["a\\0.png", "a\\1.png"]
     for n in range(2):
-        picture(tmp_path / f"a\\{n}.png")
         picture(tmp_path / f"a/{n}.png")
-    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": entries}))
-    names = [f.path.name for f in read_dataset("nerfstudio", tmp_path).static]
-    assert names == ["a\\0.png", "a\\1.png"]
+    transforms(tmp_path / "transforms.json", names, [0, 1], camera_angle_x=0.8)
+    assert [f.path.name for f in read_dataset("nerfstudio", tmp_path).static] == names
 
 
 LENS = {"fl_x": 40.0, "fl_y": 40.0, "k1": 0.05, "k2": -0.02}
+TABLE = table("lenses")
 
 
 def lens_set(folder: Path, common: dict, entry: dict) -> Path:
     """Two pictures with these keys for the whole file and for each entry."""
-    entries = [{"file_path": f"{n}.png", "transform_matrix": opengl(n).tolist(), **entry} for n in range(2)]
-    for n in range(2):
-        picture(folder / f"{n}.png")
-    (folder / "transforms.json").write_text(json.dumps({**common, "frames": entries}))
-    return folder
+    return transforms(folder / "transforms.json", ["0.png", "1.png"], [0, 1], [entry] * 2, **common)
 
 
-@pytest.mark.parametrize(
-    ("common", "entry", "model", "distortion"),
-    [
-        (
-            {"is_fisheye": True, "k3": 0.004, "k4": -0.001},
-            {},
-            "OPENCV_FISHEYE",
-            [0.05, -0.02, 0.004, -0.001, 0],
-        ),
-        (
-            {"k3": 0.004, "k4": -0.001},
-            {"is_fisheye": True},
-            "OPENCV_FISHEYE",
-            [0.05, -0.02, 0.004, -0.001, 0],
-        ),
-        ({"is_fisheye": True}, {"is_fisheye": False, "p1": 0.1}, "OPENCV", [0.05, -0.02, 0.1, 0, 0]),
-        (
-            {"is_fisheye": True, "camera_model": "OPENCV_FISHEYE"},
-            {},
-            "OPENCV_FISHEYE",
-            [0.05, -0.02, 0, 0, 0],
-        ),
-        ({"camera_model": "RADIAL_FISHEYE"}, {}, "OPENCV_FISHEYE", [0.05, -0.02, 0, 0, 0]),
-        ({"camera_model": "SIMPLE_RADIAL", "k2": 0.0}, {}, "OPENCV", [0.05, 0, 0, 0, 0]),
-        (
-            {"camera_model": "FULL_OPENCV", "k3": 0.1, "k4": 0, "k5": 0},
-            {},
-            "OPENCV",
-            [0.05, -0.02, 0, 0, 0.1],
-        ),
-        ({"camera_model": None, "latlong": False}, {"camera_model": None}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
-        (
-            {"rolling_shutter": [0.0] * 4, "distortion": None, "skew": 0, "dist": [[0, 0]], "fisheye": False},
-            {},
-            "OPENCV",
-            [0.05, -0.02, 0, 0, 0],
-        ),
-        ({"camera_model": "EQUIRECTANGULAR"}, {"camera_model": "PINHOLE"}, "OPENCV", [0.05, -0.02, 0, 0, 0]),
-    ],
-)
+@pytest.mark.parametrize(("common", "entry", "model", "distortion"), TABLE["read"])
 def test_lenses_by_the_words_of_others(tmp_path: Path, common, entry, model, distortion):
     camera = read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, **common}, entry)).static[0].camera
     assert (camera.model, camera.distortion.tolist()) == (model, distortion)
 
 
-@pytest.mark.parametrize(
-    ("common", "code", "named"),
-    [
-        ({"latlong": True}, "lens-unread", ("latlong",)),
-        ({"ftheta_p0": 0.0}, "lens-unread", ("ftheta_p0",)),
-        ({"camera_model": "EUCM"}, "lens-unread", ("EUCM", "OPENCV_FISHEYE")),
-        ({"camera_model": ["OPENCV"]}, "lens-unread", ("camera_model",)),
-        ({"camera_model": "OPENCV", "is_fisheye": True}, "lens-unread", ("is_fisheye", "OPENCV")),
-        ({"is_fisheye": "yes"}, "entry-wrong", ("is_fisheye", "'yes'")),
-        ({"k4": 0.01}, "lens-unread", ("k4 = 0.01", "k1, k2, p1, p2, k3")),
-        (
-            {"k6": 0.01, "s1": 0.02, "skew": 0.0},
-            "lens-unread",
-            ("k6 = 0.01, s1 = 0.02", "k1, k2, p1, p2, k3"),
-        ),
-        ({"skew": 1.5}, "lens-unread", ("skew = 1.5",)),
-        ({"ftheta_p1": 0.5}, "lens-unread", ("ftheta_p1",)),
-        ({"rolling_shutter": [0, 0, 0.03, 0]}, "lens-unread", ("rolling_shutter",)),
-        ({"dist_coeffs": [0.05, -0.02, 0, 0]}, "lens-unread", ("dist_coeffs", "k1, k2, p1, p2, k3")),
-        ({"distortion": {"k1": 0.1}}, "lens-unread", ("distortion is {'k1': 0.1}",)),
-        ({"distortion_params": [0.1]}, "lens-unread", ("distortion_params",)),
-        ({"fisheye": True}, "lens-unread", ("fisheye is True",)),
-        ({"is_fisheye": True, "p1": 0.01}, "lens-unread", ("p1 = 0.01", "k1, k2, k3, k4")),
-    ],
-)
+@pytest.mark.parametrize(("common", "code", "named"), TABLE["refused"])
 def test_lenses_that_are_not_read_are_refused_by_name(tmp_path: Path, common, code, named):
     with refused(code, "frames[0]", *named, kind=CaptureError):
         read_dataset("nerfstudio", lens_set(tmp_path, {**LENS, **common}, {}))

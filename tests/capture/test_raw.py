@@ -4,6 +4,7 @@ import json
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,6 +34,13 @@ def light(gain: float = 1.0) -> Float[np.ndarray, "h w 3"]:
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     red, green = 0.1 + 0.6 * x / WIDTH, 0.2 + 0.5 * y / HEIGHT
     return gain * np.stack([red, green, 0.5 - 0.3 * x / WIDTH + 0.2 * np.sin(y / 20)], axis=-1)
+
+
+def shot(path: Path, picture: np.ndarray | None = None, white: int = WHITE, **tags: Any) -> Path:
+    """A photo of the light or of another picture; `tags` say other things of it than are so."""
+    pixels = mosaic(light() if picture is None else picture, "RGGB", BLACK, white)
+    write_dng(path, pixels, **{"black": BLACK, "white": white, **tags})
+    return path
 
 
 def inside(picture: np.ndarray) -> np.ndarray:
@@ -66,9 +74,7 @@ def test_develops_to_its_own_truth(tmp_path, pattern, black, white):
 def test_exposures_keep_their_ratio(tmp_path):
     """No automatic brightness: a photo with half the light is half as bright."""
     for gain in (0.25, 0.5, 1.0):
-        write_dng(
-            tmp_path / f"{gain}.dng", mosaic(light(gain), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE
-        )
+        shot(tmp_path / f"{gain}.dng", light(gain))
     recipe = recipe_for([tmp_path / "1.0.dng"])
     pictures = {gain: develop(tmp_path / f"{gain}.dng", recipe).linear / 65535 for gain in (0.25, 0.5, 1.0)}
     for gain in (0.25, 0.5):
@@ -76,15 +82,10 @@ def test_exposures_keep_their_ratio(tmp_path):
 
 
 def test_one_white_balance_and_one_white_level_for_all(tmp_path):
-    write_dng(tmp_path / "a.dng", mosaic(light(0.5), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
-    write_dng(
-        tmp_path / "b.dng",
-        mosaic(light(0.5), "RGGB", BLACK, WHITE),
-        black=BLACK,
-        white=12000,
-        neutral=(0.5, 1.0, 0.7),  # what the camera chose for this photo has no say
-    )
-    a, b = tmp_path / "a.dng", tmp_path / "b.dng"
+    a = shot(tmp_path / "a.dng", light(0.5))
+    # what the camera chose for this photo has no say
+    b = tmp_path / "b.dng"
+    write_dng(b, mosaic(light(0.5), "RGGB", BLACK, WHITE), black=BLACK, white=12000, neutral=(0.5, 1.0, 0.7))
     b_says = develop(b).header
     assert b_says.as_shot is not None and b_says.as_shot == pytest.approx((2, 1, 1 / 0.7), rel=1e-5)
     assert b_says.white == 12000
@@ -100,13 +101,7 @@ def test_one_white_balance_and_one_white_level_for_all(tmp_path):
 
 def test_a_set_is_turned_once_and_alike(tmp_path):
     for name, orientation in (("0.dng", 6), ("1.dng", 1), ("2.dng", 6)):  # held upright but for one
-        write_dng(
-            tmp_path / name,
-            mosaic(light(), "RGGB", BLACK, WHITE),
-            black=BLACK,
-            white=WHITE,
-            orientation=orientation,
-        )
+        shot(tmp_path / name, orientation=orientation)
     paths = [tmp_path / f"{n}.dng" for n in range(3)]
     recipe = recipe_for(paths)
     assert [develop(path).header.upright.degrees for path in paths] == [270, 0, 270]
@@ -121,9 +116,7 @@ def test_a_set_is_turned_once_and_alike(tmp_path):
 
 def test_set_on_disk(tmp_path):
     for n in range(5):
-        write_dng(
-            tmp_path / f"{n}.dng", mosaic(light(1 - 0.1 * n), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE
-        )
+        shot(tmp_path / f"{n}.dng", light(1 - 0.1 * n))
     jobs = [(n, tmp_path / f"{n}.dng") for n in (0, 1, 3, 4)]
     out = tmp_path / "out"
     photos = develop_set(jobs, out, "static")
@@ -149,7 +142,7 @@ def test_set_on_disk(tmp_path):
 
 def test_side_by_side_and_no_more(tmp_path, monkeypatch):
     """As many photos at once as there are cores, however many there are."""
-    write_dng(tmp_path / "a.dng", mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    shot(tmp_path / "a.dng")
     cores = usable_cores()
     at_once, most, guard = 0, 0, threading.Lock()
 
@@ -176,9 +169,7 @@ def test_folder(tmp_path):
     (tmp_path / "in").mkdir()
     for n in range(4):
         texture = rng.uniform(0.2, 0.2 + 0.2 * (n % 2), (HEIGHT, WIDTH, 3))  # odd ones have more of it
-        write_dng(
-            tmp_path / "in" / f"{n}.dng", mosaic(texture, "RGGB", BLACK, WHITE), black=BLACK, white=WHITE
-        )
+        shot(tmp_path / "in" / f"{n}.dng", texture)
     out = tmp_path / "out"
     frames = extract_folder(
         tmp_path / "in", out, "static", "sweep", "in", most=2, white_balance=(2.0, 1.0, 1.0, 1.0)
@@ -201,14 +192,8 @@ def test_wrong_levels_are_measured(tmp_path):
     assert high.below_black == pytest.approx(below, abs=1e-3) and below > 0.05
     assert none.floor > 0.03 and none.below_black == 0
     assert white.highest == 3800 and white.at_highest > 100  # pixels pile up below the white level
-    assert develop_clipped(tmp_path) > 0.2
-
-
-def develop_clipped(tmp_path: Path) -> float:
-    """Clipped share of a photo whose red is at white in its right quarter (0.1 + 0.6 x at twice the light)."""
-    bright = np.clip(light(2.0), 0, 1)
-    write_dng(tmp_path / "bright.dng", mosaic(bright, "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
-    return develop(tmp_path / "bright.dng").clipped
+    bright = develop(shot(tmp_path / "bright.dng", np.clip(light(2.0), 0, 1)))
+    assert bright.clipped > 0.2  # red is at white in the right quarter: 0.1 + 0.6 x at twice the light
 
 
 def test_real_raw_file(data_dir):
@@ -233,13 +218,12 @@ def test_not_raw(tmp_path):
 
 
 def test_damaged(tmp_path):
-    path = tmp_path / "a.dng"
-    write_dng(path, mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    path = shot(tmp_path / "a.dng")
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with refused("file-damaged", "a.dng", kind=CaptureError):
         develop(path)
-    write_dng(tmp_path / "b.dng", mosaic(light(), "RGGB", BLACK, WHITE), black=BLACK, white=WHITE)
+    shot(tmp_path / "b.dng")
     with refused("file-damaged", "a.dng", kind=CaptureError):
         develop_set([(0, tmp_path / "b.dng"), (1, path)], tmp_path / "out", "static")
     other = recipe_for([tmp_path / "b.dng"])

@@ -6,6 +6,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from tests.make.clips import add_pictures
 
 from devrf.capture.recordings import chapter_faults, chapters, is_of_photo, join_command, small_copy_of
 
@@ -40,12 +41,7 @@ def recording(path: Path, start_s: float, pictures: int) -> Path:
         out.metadata["creation_time"] = made
         stream = out.add_stream("libx264", rate=25)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for _ in range(pictures):
-            frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")
-            for packet in stream.encode(frame):
-                out.mux(packet)
-        for packet in stream.encode(None):
-            out.mux(packet)
+        add_pictures(out, stream, np.zeros((pictures, 48, 64, 3), np.uint8))
     return path
 
 

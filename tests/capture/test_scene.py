@@ -1,27 +1,20 @@
 """Pictures of a scene: resizing, alpha, sizes that disagree."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
+from tests.make.pictures import frame_of
 from tests.refused import refused
 
-from devrf.capture.camera import Camera
 from devrf.capture.errors import CaptureError
-from devrf.capture.scene import PosedFrame, image_scale_for, load_image
-
-
-def frame(path: Path, width: int, height: int) -> PosedFrame:
-    K = np.array([[50.0, 0, width / 2], [0, 50.0, height / 2], [0, 0, 1]])
-    return PosedFrame(path, Camera(width, height, K, np.eye(4)[:3]), "static", 0, None, None, "train")
+from devrf.capture.scene import image_scale_for, load_image
 
 
 def test_colours_come_back_as_rgb(tmp_path):
     image = np.zeros((4, 6, 3), np.uint8)
     image[..., 0] = 200  # red
     cv2.imwrite(str(tmp_path / "a.png"), image[..., ::-1])
-    loaded = load_image(frame(tmp_path / "a.png", 6, 4), 1.0, "shell")
+    loaded = load_image(frame_of(tmp_path / "a.png", 6, 4), 1.0, "shell")
     assert loaded.shape == (4, 6, 3) and (loaded[..., 0] == 200).all() and (loaded[..., 1:] == 0).all()
 
 
@@ -31,7 +24,7 @@ def test_alpha_is_composited_and_hidden_colours_do_not_bleed(tmp_path, backgroun
     image[:, :2] = [0, 0, 255, 255]  # red, opaque
     image[:, 2:] = [0, 255, 0, 0]  # green, hidden
     cv2.imwrite(str(tmp_path / "a.png"), image)
-    loaded = load_image(frame(tmp_path / "a.png", 4, 4), 0.25, background)
+    loaded = load_image(frame_of(tmp_path / "a.png", 4, 4), 0.25, background)
     expected = np.round((np.array([255, 0, 0]) + behind) / 2)
     np.testing.assert_allclose(loaded[0, 0], expected, atol=1)
 
@@ -39,13 +32,13 @@ def test_alpha_is_composited_and_hidden_colours_do_not_bleed(tmp_path, backgroun
 def test_a_picture_of_another_size_than_its_calibration_is_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((4, 6, 3), np.uint8))
     with refused("picture-size-wrong", "6x4", "8x4", kind=CaptureError):
-        load_image(frame(tmp_path / "a.png", 8, 4), 1.0, "shell")
+        load_image(frame_of(tmp_path / "a.png", 8, 4), 1.0, "shell")
 
 
 def test_a_file_that_is_no_picture_is_named(tmp_path):
     (tmp_path / "a.png").write_text("hello")
     with refused("picture-unreadable", "a.png", kind=CaptureError):
-        load_image(frame(tmp_path / "a.png", 8, 4), 1.0, "shell")
+        load_image(frame_of(tmp_path / "a.png", 8, 4), 1.0, "shell")
 
 
 @pytest.mark.parametrize(("size", "scale"), [((400, 400), 0.5), ((100, 100), 1.0)])

@@ -5,6 +5,7 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from tests.make.clips import add_pictures
 from tests.refused import refused
 
 from devrf.capture.errors import InputError
@@ -155,12 +156,7 @@ def test_of_several_streams_of_pictures_the_largest(tmp_path):
         for stream, side in zip(streams, (32, 64), strict=True):
             stream.width, stream.height, stream.pix_fmt = 2 * side, side, "yuv420p"
         for stream in streams:
-            picture = np.full((stream.height, stream.width, 3), 99, np.uint8)
-            for _ in range(5):
-                for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
-                    out.mux(packet)
-            for packet in stream.encode(None):
-                out.mux(packet)
+            add_pictures(out, stream, [np.full((stream.height, stream.width, 3), 99, np.uint8)] * 5)
     info = probe_video(path)
     assert (info.width, info.height) == (128, 64) and any("64x32" in note for note in info.notes)
     assert scan_packets(path).count == 5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 from tests.conftest import ExampleRun
-from tests.glb import read_glb
+from tests.make.glb import read_glb
 
 from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.formats import read_scene

@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.conftest import SMALL_FILM
 
 from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
 from devrf.lab.simulate.protocol.forward import simulate_forward
+from devrf.pipelines.stages import render
 
 pytestmark = pytest.mark.full
 
@@ -20,7 +22,9 @@ def run_dir(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     simulate_forward(
         folder / "set", "flower", size=(96, 54), options=ForwardOptions(static_views=24, times=6, spp=8)
     )
-    done = devrf("run", folder / "set", "--preset", "tiny", "--until", "render")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(render.SIZES, "tiny", SMALL_FILM)
+        done = devrf("run", folder / "set", "--preset", "tiny", "--until", "render")
     assert done.code == 0, done.said[-3000:]
     return folder / "set" / "runs" / "flower"
 
@@ -60,4 +64,4 @@ def test_flow_of_the_data_set_was_used(run_dir: Path) -> None:
 
 
 def test_a_film_was_made(run_dir: Path) -> None:
-    assert next((run_dir / "render").glob("*.mp4")).stat().st_size > 5_000
+    assert next((run_dir / "render").glob("*.mp4")).stat().st_size > 1_000

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.conftest import SMALL_FILM
 
-from devrf.pipelines.stages import NO_CAMERAS
+from devrf.pipelines.stages import NO_CAMERAS, render
 from devrf.reconstruct.evaluate import motion_psnr
 
 pytestmark = pytest.mark.full
@@ -34,8 +35,11 @@ def read(path: Path) -> Any:
 def fox(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of the fox, from photos to the report."""
     folder = tmp_path_factory.mktemp("fox")
-    scene = write_scene(folder, name="fox", capture={"static": str(data_dir / "fox_static" / "images")})
-    result = devrf("run", scene)
+    capture = {"static": str(data_dir / "fox_static" / "images")}
+    scene = write_scene(folder, name="fox", capture=capture, reconstruct={"canonical_iterations": 200})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(render.SIZES, "tiny", SMALL_FILM)
+        result = devrf("run", scene)
     assert result.code == 0, result.said
     return folder
 
@@ -95,7 +99,7 @@ def test_fox_held_out_photos(fox: Path) -> None:
 # --- caliscope: four webcams, no sweep; true times in a table; an inverted board before all at once ---
 
 
-def caliscope(folder: Path, data_dir: Path, **changes: object) -> Path:
+def caliscope(folder: Path, data_dir: Path, end_s: float = 30, **changes: object) -> Path:
     source = data_dir / "caliscope_post_optimization" / "calibration" / "extrinsic"
     clips = {f"cam{n}": str(source / f"cam_{n}.mp4") for n in range(4)}
     times = folder / "times.csv"
@@ -108,7 +112,7 @@ def caliscope(folder: Path, data_dir: Path, **changes: object) -> Path:
         "dictionary": "DICT_4X4_1000",
         "joint_clips": clips,
     }
-    capture = {"cameras": clips, "timestamps": str(times), "board": board, "range_s": [25, 30]}
+    capture = {"cameras": clips, "timestamps": str(times), "board": board, "range_s": [25, end_s]}
     return write_scene(folder, name="webcams", capture=capture, **changes)
 
 
@@ -123,9 +127,9 @@ def caliscope_times(table: Path) -> str:
 
 @pytest.fixture(scope="module")
 def webcams(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The run folder of the webcams up to flow, and what was said."""
+    """The run folder of the webcams up to the rig, and what was said."""
     folder = tmp_path_factory.mktemp("webcams")
-    result = devrf("run", caliscope(folder, data_dir), "--until", "flow", "--verbose")
+    result = devrf("run", caliscope(folder, data_dir), "--until", "rig", "--verbose")
     assert result.code == 0, result.said
     return folder / "run", result.said
 
@@ -159,8 +163,14 @@ def test_webcams_unequal_exposure_is_reported(webcams: tuple[Path, str]) -> None
     assert "exposure" in webcams[1]
 
 
-def test_webcams_have_flow(webcams: tuple[Path, str]) -> None:
-    assert len([path for path in (webcams[0] / "flow").iterdir() if path.is_dir()]) == 4
+def test_webcams_have_flow(
+    devrf: Callable, webcams: tuple[Path, str], data_dir: Path, tmp_path: Path
+) -> None:
+    """A second of them, with the rig that was found."""
+    calibration = {"rig": {"given": str(webcams[0] / "rig" / "rig.json")}}
+    result = devrf("run", caliscope(tmp_path, data_dir, 26, calibration=calibration), "--until", "flow")
+    assert result.code == 0, result.said
+    assert len([path for path in (tmp_path / "run/flow").iterdir() if path.is_dir()]) == 4
 
 
 def test_webcams_without_until_are_refused(devrf: Callable, data_dir: Path, tmp_path: Path) -> None:

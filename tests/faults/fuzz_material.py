@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 import yaml
 from PIL import Image
-from tests.datasets import write_set
 from tests.faults.mutations import BINARY, JSON, TEXT, Mutation
-from tests.rigs import RIG_LAYOUTS
+from tests.make.datasets import write_set
+from tests.make.rigs import RIG_LAYOUTS
 
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
@@ -273,14 +273,14 @@ def _calibrations(folder: Path, data: Path, out: dict[str, Target]) -> None:
 
 
 def _models(folder: Path, out: dict[str, Target]) -> None:
-    from tests.reconstruct.test_model_io import _model
+    from tests.make.models import random_model
 
     from devrf.reconstruct.checkpoint import Checkpoint, Saved
     from devrf.reconstruct.model_io import save_motion, save_rest
     from devrf.reconstruct.training_log import TrainingLog
 
     folder.mkdir()
-    model = _model()
+    model = random_model()
     assert model.motion is not None
     save_rest(folder / "rest.safetensors", model.rest)
     save_motion(folder / "motion.safetensors", model.motion, model.rest.canonical.voxel)

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 import torch
@@ -19,6 +18,7 @@ from numpy.lib import format as npy
 from PIL import Image
 from tests.faults.fuzz_material import pictures, scene_yaml
 from tests.faults.fuzzing import Fuzzer
+from tests.make.clips import film
 from tests.refused import refused as raises
 
 from devrf.calibration.formats import find_calibration
@@ -135,13 +135,7 @@ def test_a_clip_of_huge_pictures(tmp_path: Path, run: Fuzzer) -> None:
 
 def test_a_picture_that_is_huge_only_later(tmp_path: Path) -> None:
     """Motion JPEG has its size in every picture; the header of the file is that of the first."""
-    path = tmp_path / "grows.avi"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mjpeg", rate=10)
-        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuvj420p"
-        for picture in pictures(3):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode(None))
+    path = film(tmp_path / "grows.avi", pictures(3), "mjpeg", 10, pix_fmt="yuvj420p")
     data = bytearray(path.read_bytes())
     second = data.index(b"\xff\xc0", data.index(b"\xff\xc0") + 2) + 5
     data[second : second + 4] = struct.pack(">HH", 12_000, 12_000)  # ffmpeg alone lets 268 million in
@@ -153,16 +147,8 @@ def test_a_picture_that_is_huge_only_later(tmp_path: Path) -> None:
 
 
 def test_times_that_are_years_apart(tmp_path: Path, run: Fuzzer) -> None:
-    path = tmp_path / "years.mkv"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=10)
-        stream.width, stream.height, stream.pix_fmt = 96, 72, "yuv420p"
-        stream.codec_context.time_base = Fraction(1, 1000)
-        for n, picture in enumerate(pictures(4)):
-            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-            frame.pts, frame.time_base = n * 10**9, Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
+    years_s = [n * 1e6 for n in range(4)]
+    film(tmp_path / "years.mkv", pictures(4), rate=10, times_s=years_s, base=Fraction(1, 1000))
     scene = scene_yaml(tmp_path / "scene", capture={"static": "../years.mkv"})
     refused(run, 1, "years.mkv", "14400", "[clip-too-long]", arguments=("run", scene, "--until", "ingest"))
 

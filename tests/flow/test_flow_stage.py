@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from tests.judged import named
-from tests.scenes import scene_of
+from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene, write_scene

@@ -9,14 +9,13 @@ import av
 import numpy as np
 import pytest
 import yaml
-from pydantic import ValidationError
 from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.lab.simulate.scenes.catalogue import Mesh
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.moved import ways
-from devrf.lab.simulate.session.simulate_session import SCENES, simulate_session
+from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.lab.simulate.session.sound import SAMPLE_RATE_HZ, SPEED_OF_SOUND_M_S
 
 SIZE = (96, 72)
@@ -168,24 +167,6 @@ def test_same_seed_same_session(tmp_path: Path) -> None:
     assert "board" not in yaml.safe_load((tmp_path / "a" / "scene.yaml").read_text())["capture"]
 
 
-@pytest.mark.parametrize(
-    ("change", "refusal"),
-    [
-        ({"scene": "flagg"}, ("scene-unknown", "flagg", "sheet, column")),
-        ({"cameras": 0}, ("option-out-of-range", "cameras 0")),
-        ({"size": (63, 48)}, ("option-out-of-range", "63x48")),
-        ({"options": SessionOptions(duration_s=0.2)}, ("options-contradict", "duration_s 0.2")),
-    ],
-)
-def test_bad_arguments_are_refused_before_anything_is_written(
-    tmp_path: Path, change: dict, refusal: tuple
-) -> None:
-    arguments = {"scene": "sheet", "size": SIZE, "options": TINY, **change}
-    with refused(*refusal, kind=InputError):
-        simulate_session(tmp_path / "out", **arguments)
-    assert not (tmp_path / "out").exists()
-
-
 def test_folder_with_files_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("precious")
     with refused("folder-exists", tmp_path, kind=InputError):
@@ -198,12 +179,3 @@ def test_missing_renderer_names_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
     with refused("package-missing", "pip install 'devrf[simulate]'", "-e '.[simulate]'", kind=InputError):
         simulate_session(tmp_path / "out", "sheet", size=SIZE, options=TINY)
     assert not (tmp_path / "out").exists()
-
-
-def test_options_are_strict_and_documented() -> None:
-    with pytest.raises(ValidationError, match="sweep_frame"):
-        SessionOptions.model_validate({"sweep_frame": 70})
-    with pytest.raises(ValidationError, match="noise"):
-        SessionOptions(noise=-0.1)
-    assert all(field.description for field in SessionOptions.model_fields.values())
-    assert len(SCENES) >= 2

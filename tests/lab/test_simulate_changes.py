@@ -4,11 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.refused import refused
 
 from devrf.capture.audio import read_sound
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
 from devrf.capture.video import VideoReader
 from devrf.lab.simulate.render.renderer import Finish, Renderer
 from devrf.lab.simulate.scenes.catalogue import room
@@ -95,12 +93,6 @@ def test_what_is_clear_lets_through_and_what_shines_changes_nothing_around_it() 
     assert np.abs(polished - solid)[column].mean() > 0.05
     away = np.abs(np.arange(48) - 24) > 20
     assert np.abs(polished - solid)[:, away].mean() < 0.005
-
-
-def test_only_a_sheet_is_cut(tmp_path: Path) -> None:
-    options = SMALL.model_copy(update={"strip_m": 0.02})
-    with refused("options-contradict", "strip_m 0.02", "sheet", kind=InputError):
-        simulate_session(tmp_path / "out", "column", size=(32, 24), options=options)
 
 
 def _last(path: Path) -> np.ndarray:

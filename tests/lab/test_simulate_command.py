@@ -3,14 +3,19 @@
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel, ValidationError
 from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.lab import simulate_command
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
-from devrf.lab.simulate.protocol.simulate_dataset import Made
+from devrf.lab.simulate.protocol.forward import simulate_forward
+from devrf.lab.simulate.protocol.simulate_dataset import Made, simulate_dataset
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.pipelines.console import Talk
+
+SHORT, CUT = SessionOptions(duration_s=0.2), SessionOptions(strip_m=0.02)
 
 
 @pytest.mark.parametrize(
@@ -67,6 +72,50 @@ def test_wrong_words_are_named(
     with refused(refusal, *named, kind=InputError):
         simulate_command.simulate(Talk(), tmp_path / "x", None, protocol, None, 0, size, settings)
     assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "change", "refusal"),
+    [
+        (simulate_session, {"scene": "flagg"}, ("scene-unknown", "flagg", "sheet, column")),
+        (simulate_session, {"cameras": 0}, ("option-out-of-range", "cameras 0")),
+        (simulate_session, {"size": (63, 48)}, ("option-out-of-range", "63x48")),
+        (simulate_session, {"options": SHORT}, ("options-contradict", "duration_s 0.2")),
+        (
+            simulate_session,
+            {"scene": "column", "options": CUT},
+            ("options-contradict", "strip_m 0.02", "sheet"),
+        ),
+        (simulate_dataset, {"scene": "sheet"}, ("scene-unknown", "sheet", "robot, flower, arm")),
+        (simulate_dataset, {"cameras": 0}, ("option-out-of-range", "cameras 0", "1 to 8")),
+        (simulate_dataset, {"cameras": 9}, ("option-out-of-range", "cameras 9", "1 to 8")),
+        (simulate_dataset, {"size": (8, 48)}, ("option-out-of-range", "8x48")),
+        (simulate_forward, {"size": (200, 80)}, ("option-out-of-range", "200x80", "2:1")),
+        (simulate_forward, {"scene": "flagg"}, ("scene-unknown", "flagg", "robot")),
+    ],
+)
+def test_bad_arguments_are_refused_before_anything_is_written(
+    tmp_path: Path, make, change: dict, refusal: tuple
+):
+    usual = {simulate_session: "sheet", simulate_dataset: "arm", simulate_forward: "flower"}
+    with refused(*refusal, kind=InputError):
+        make(tmp_path / "out", **{"scene": usual[make], "size": (64, 40), **change})
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("model", "unknown", "bad"),
+    [
+        (SessionOptions, {"sweep_frame": 70}, {"noise": -0.1}),
+        (DatasetOptions, {"tims": 3}, {"times": 1}),
+        (ForwardOptions, {"tims": 3}, {"times": 1}),
+    ],
+)
+def test_options_are_strict_and_documented(model: type[BaseModel], unknown: dict, bad: dict) -> None:
+    for values in (unknown, bad):
+        with pytest.raises(ValidationError, match=next(iter(values))):
+            model.model_validate(values)
+    assert all(field.description for field in model.model_fields.values())
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

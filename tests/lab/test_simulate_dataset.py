@@ -8,13 +8,12 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from pydantic import BaseModel, ValidationError
 from tests.refused import refused
 
 from devrf.capture.errors import InputError
 from devrf.capture.formats import read_dataset
 from devrf.capture.scene import load_image
-from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
+from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 
 SIZE = (48, 40)
@@ -146,30 +145,3 @@ def test_a_folder_that_holds_something_else_is_refused(dataset: Path, tmp_path: 
     with refused("folder-exists", tmp_path, "made_by.json", kind=InputError):
         simulate_dataset(tmp_path, "flower", **arguments)
     assert [f.name for f in tmp_path.iterdir()] == ["mine.txt"]
-
-
-@pytest.mark.parametrize(
-    ("change", "refusal"),
-    [
-        ({"scene": "sheet"}, ("scene-unknown", "sheet", "robot, flower, arm")),
-        ({"cameras": 0}, ("option-out-of-range", "cameras 0", "1 to 8")),
-        ({"cameras": 9}, ("option-out-of-range", "cameras 9", "1 to 8")),
-        ({"size": (8, 48)}, ("option-out-of-range", "8x48")),
-    ],
-)
-def test_bad_arguments_are_refused_before_anything_is_written(
-    tmp_path: Path, change: dict, refusal: tuple
-) -> None:
-    arguments = {"scene": "arm", "size": SIZE, "options": TINY, **change}
-    with refused(*refusal, kind=InputError):
-        simulate_dataset(tmp_path / "out", **arguments)
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("model", [DatasetOptions, ForwardOptions])
-def test_options_are_strict_and_documented(model: type[BaseModel]) -> None:
-    with pytest.raises(ValidationError, match="tims"):
-        model.model_validate({"tims": 3})
-    with pytest.raises(ValidationError, match="times"):
-        model.model_validate({"times": 1})
-    assert all(field.description for field in model.model_fields.values())

@@ -5,10 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.refused import refused
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
 from devrf.lab.simulate.protocol.forward import llff_poses, normalised, simulate_forward
@@ -106,11 +104,3 @@ def test_alpha_is_the_model_s_matte_and_the_wall_stands_still(dataset: Path) -> 
         assert picture[matte == 0][:, :3].mean() > 40  # the wall's colours are kept under alpha 0
         assert np.abs(flow[wall]).max() < 1e-3 and np.abs(flow[~wall]).max() > 1
         assert mask.mean() > 0.8
-
-
-def test_too_wide_a_picture_would_look_past_the_wall(tmp_path: Path) -> None:
-    with refused("option-out-of-range", "200x80", "2:1", kind=InputError):
-        simulate_forward(tmp_path / "out", "flower", size=(200, 80), options=TINY)
-    with refused("scene-unknown", "flagg", "robot", kind=InputError):
-        simulate_forward(tmp_path / "out", "flagg", size=SIZE, options=TINY)
-    assert not (tmp_path / "out").exists()

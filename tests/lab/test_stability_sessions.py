@@ -45,6 +45,10 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "scene.yaml"
 
 
+def intact_of(scene: Path, found: Scene, folder: Path, severity: float, seed: int = 0) -> Intact:
+    return Intact(load_scene(scene), scene.parent, found, folder, severity, seed)
+
+
 def made() -> Simulated:
     """How it was made."""
     return Simulated("sheet", 1, 0, (32, 24), SessionOptions.model_validate(OPTIONS))
@@ -63,18 +67,13 @@ def with_code(truth: Path, code: str | None) -> None:
 def test_a_session_is_made_again_once_for_all_seeds_with_the_clips_that_stay(
     session: Path, odd_scene: Scene, tmp_path: Path
 ) -> None:
-    config = load_scene(session)
     for axis, stays in (("moving_light", "static.mp4"), ("sweep_motion", "cam0.mp4")):
         made = tmp_path / axis / "session"
 
         def filmed(seed: int, axis: str = axis) -> CaptureConfig | None:
             folder = tmp_path / axis / f"seed{seed}"
             folder.mkdir(parents=True)
-            return (
-                AXES[axis]
-                .damaging(Intact(config, session.parent, odd_scene, folder, 0.5, seed))
-                .config.capture
-            )
+            return AXES[axis].damaging(intact_of(session, odd_scene, folder, 0.5, seed)).config.capture
 
         filmed(0)
         when = (made / "scene.yaml").stat().st_mtime_ns
@@ -114,11 +113,8 @@ def test_a_session_of_another_version_of_the_simulator_is_not_compared_with_this
     (tmp_path / "sweep_motion/seed0").mkdir(parents=True)
 
     def damaged() -> Any:
-        return axis.damaging(
-            Intact(
-                load_scene(folder / "scene.yaml"), folder, odd_scene, tmp_path / "sweep_motion/seed0", 50.0, 0
-            )
-        )
+        place = tmp_path / "sweep_motion/seed0"
+        return axis.damaging(intact_of(folder / "scene.yaml", odd_scene, place, 50.0))
 
     damaged()
     again = tmp_path / "sweep_motion/session/ground_truth.json"
@@ -156,7 +152,7 @@ def test_what_the_simulator_cannot_make_does_not_apply(
     intact = Intact(filmed, tmp_path, odd_scene, tmp_path, 1.0, 0)
     with refused("session-not-simulated", kind=DoesNotApply):
         AXES["gloss"].damaging(intact)
-    too_much = Intact(load_scene(session), session.parent, odd_scene, tmp_path, 2.0, 0)
+    too_much = intact_of(session, odd_scene, tmp_path, 2.0)
     # four times as large is more than there is
     with refused("option-out-of-range", "motion_scale", kind=DoesNotApply):
         AXES["deformation"].damaging(too_much)
@@ -166,7 +162,7 @@ def test_without_the_renderer_only_what_is_rendered_already_applies(
     session: Path, odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "seed0").mkdir()
-    intact = Intact(load_scene(session), session.parent, odd_scene, tmp_path / "seed0", 50.0, 0)
+    intact = intact_of(session, odd_scene, tmp_path / "seed0", 50.0)
     AXES["sweep_motion"].damaging(intact)
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     AXES["sweep_motion"].damaging(intact)
@@ -178,7 +174,7 @@ def test_a_folder_that_cannot_be_written_ends_the_suite(
     session: Path, odd_scene: Scene, tmp_path: Path
 ) -> None:
     (tmp_path / "file").write_text("no folder")
-    intact = Intact(load_scene(session), session.parent, odd_scene, tmp_path / "file/seed0", 50.0, 0)
+    intact = intact_of(session, odd_scene, tmp_path / "file/seed0", 50.0)
     with refused("folder-unwritable", tmp_path / "file", kind=InputError):
         AXES["sweep_motion"].damaging(intact)
 
@@ -204,7 +200,7 @@ def test_cameras_draw_together_only_where_the_witness_stays(
         "devrf.lab.bench.stability.damage.simulated.rendered",
         lambda folder, made, kept: asked.append(made),
     )
-    intact = Intact(load_scene(folder / "scene.yaml"), folder, odd_scene, tmp_path / "axis/seed0", 75.0, 0)
+    intact = intact_of(folder / "scene.yaml", odd_scene, tmp_path / "axis/seed0", 75.0)
     if count % 2:
         with refused("witness-would-move", kind=DoesNotApply):
             AXES["spread"].damaging(intact)

@@ -8,17 +8,16 @@ import numpy as np
 import torch
 import yaml
 from PIL import Image
-from tests.scenes import scene_of
+from tests.make.models import canonical, straight
+from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame, Scene, Split
 from devrf.capture.view_axes import look_at
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.model_io import FILE, save_motion, save_rest
-from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.rest_model import RestModel
 
@@ -32,20 +31,13 @@ WIDTH, HEIGHT, FOCAL = 48, 36, 50.0
 def ball_model() -> DynamicModel:
     """The ball as a trained model would hold it."""
     aabb = torch.tensor(AABB, dtype=torch.float32)
-    canonical = Canonical.new(
-        aabb, 24, 24, channels=3, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-3,
-        weight_threshold=1e-3, device="cpu", seed=0,
-    )  # fmt: skip
-    inside = vertices(aabb, canonical.shape).norm(dim=-1) < RADIUS
-    canonical.density[..., 0] = torch.where(inside, 30.0, -30.0)
-    canonical.features += vertices(aabb, canonical.shape)
-    canonical.rebuild_occupancy()
-    canonical.net.requires_grad_(False)
-    motion = MotionField.still(aabb, 3, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
-    for key in range(3):
-        motion.forward[key] = torch.tensor(TRAVEL * key / 2)
-        motion.backward[key] = -motion.forward[key]
-    return DynamicModel(RestModel(canonical, None, "white", 0.3, 9.0, {}), motion)
+    ball = canonical(aabb, 24, channels=3, alpha_threshold=1e-3, weight_threshold=1e-3)
+    inside = vertices(aabb, ball.shape).norm(dim=-1) < RADIUS
+    ball.density[..., 0] = torch.where(inside, 30.0, -30.0)
+    ball.features += vertices(aabb, ball.shape)
+    ball.rebuild_occupancy()
+    ball.net.requires_grad_(False)
+    return DynamicModel(RestModel(ball, None, "white", 0.3, 9.0, {}), straight(aabb, TRAVEL, keys=3))
 
 
 def halves_model() -> DynamicModel:

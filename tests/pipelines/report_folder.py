@@ -6,7 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tests.scenes import scene_of
+from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene

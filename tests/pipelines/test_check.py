@@ -5,10 +5,10 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-import av
 import cv2
 import numpy as np
 import pytest
+from tests.make.clips import film
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.calibration.boards.spec import BoardSpec, dictionary
@@ -101,13 +101,7 @@ def test_a_quiet_no_go_says_what_is_wrong(devrf: Callable, tmp_path: Path) -> No
 def test_pictures_by_seeking_are_those_of_reading_everything(tmp_path: Path, textures: Callable) -> None:
     """A clip with several key pictures; every picture says its number in its brightness."""
     pictures = [np.full((48, 64, 3), 20 + 2 * n, np.uint8) for n in range(100)]
-    path = tmp_path / "long.mp4"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=25, options={"g": "10", "bf": "2", "crf": "5"})
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for picture in pictures:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-        container.mux(stream.encode(None))
+    path = film(tmp_path / "long.mp4", pictures, g="10", bf="2", crf="5")
     times = picture_times(path)
     with VideoReader(path) as reader:
         whole = {frame.index: (frame.time_s, float(frame.rgb.mean())) for frame in reader}

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from tests.datasets import LAYOUTS, write_set
+from tests.make.datasets import LAYOUTS, write_set
 from tests.refused import refused
 
 from devrf.calibration.formats import RIG_WRITERS

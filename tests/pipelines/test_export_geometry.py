@@ -14,8 +14,8 @@ import torch
 import typer
 import yaml
 from scipy.spatial.transform import Rotation, Slerp
-from tests.glb import read_glb
-from tests.reconstruct.moving_ball import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball, rigid_ball
+from tests.make.glb import read_glb
+from tests.make.models import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball, rigid_ball
 from tests.refused import refused
 
 from devrf.capture.errors import InputError, ReconstructError

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from tests.glb import read_glb
-from tests.pipelines.trained_run import SCALE, write_trained
-from tests.reconstruct.moving_ball import AABB
-from tests.reconstruct.moving_parts import (
+from tests.make.glb import read_glb
+from tests.make.models import (
+    AABB,
     BALL,
     CENTRES,
     REST,
@@ -26,6 +25,7 @@ from tests.reconstruct.moving_parts import (
     moving_parts,
     outside,
 )
+from tests.pipelines.trained_run import SCALE, write_trained
 
 from devrf.pipelines.console import Talk
 from devrf.pipelines.export.command import export

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.make.models import RADIUS, TRAVEL
 from tests.pipelines.trained_run import SCALE, write_trained
-from tests.reconstruct.moving_ball import RADIUS, TRAVEL
 from tests.refused import refused
 
 from devrf.capture.camera import Camera

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from tests.scenes import scene_of
+from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_dataset

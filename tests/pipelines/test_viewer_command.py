@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from tests.make.models import random_model
 from tests.pipelines.viewer_run import ViewerRun
-from tests.reconstruct.test_model_io import _model
 from tests.waiting import wait_for
 
 from devrf.capture.scene import Scene
@@ -59,7 +59,7 @@ def test_without_viser_it_says_how_to_get_it(tmp_path: Path) -> None:
 def test_it_reads_only_and_ends_at_once(odd_scene: Scene, tmp_path: Path, sign: signal.Signals) -> None:
     run = ViewerRun(tmp_path)
     run.scene(odd_scene)
-    run.rest(_model().rest)
+    run.rest(random_model().rest)
     before = _tree(run.run_dir)
     host = "0.0.0.0" if sign == signal.SIGTERM else "127.0.0.1"
     command = [sys.executable, "-u", "-m", "devrf.pipelines.cli", "view", str(run.scene_yaml)]

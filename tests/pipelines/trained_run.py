@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import yaml
+from tests.make.models import AABB, moving_ball
+from tests.make.scenes import scene_of
 from tests.reconstruct.conftest import around, look_at
-from tests.reconstruct.moving_ball import AABB, moving_ball
-from tests.scenes import scene_of
 
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-import torch
+from tests.make.models import UNIT_BOX, straight
 from tests.reconstruct.conftest import TRAVEL
 
 from devrf.capture.formats import write_scene
@@ -47,7 +47,7 @@ class ViewerRun:
 
     def motion(self, rest: RestModel, made_of: str = "content of canonical") -> MotionField:
         """Stage `deformation`: the ball goes straight along its way."""
-        motion = straight(rest)
+        motion = straight(UNIT_BOX, TRAVEL, KEYS, 6)
         (self.run_dir / "deformation").mkdir(exist_ok=True)
         save_motion(self.run_dir / "deformation" / FILE, motion, rest.canonical.voxel)
         self._stamp("deformation", {"canonical": made_of})
@@ -70,14 +70,3 @@ class ViewerRun:
     def _stamp(self, stage: str, reads: dict[str, str] | None = None) -> None:
         stamp = {"id": f"{stage} 1", "content": f"content of {stage}", "identity": {"reads": reads or {}}}
         (self.run_dir / stage / "stamp.json").write_text(json.dumps(stamp))
-
-
-def straight(rest: RestModel) -> MotionField:
-    """The motion of the ball, exactly."""
-    motion = MotionField.still(
-        torch.tensor([[-1.0] * 3, [1.0] * 3]), KEYS, 6, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
-    )
-    way = torch.linspace(0, 1, KEYS)[:, None, None, None, None] * torch.from_numpy(TRAVEL).float()
-    motion.forward += way
-    motion.backward -= way
-    return motion

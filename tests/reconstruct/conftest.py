@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from tests.scenes import scene_of
+from tests.make.models import straight
+from tests.make.scenes import scene_of
 
 from devrf.capture import view_axes
 from devrf.capture.camera import Camera
@@ -75,11 +76,7 @@ def ball_clips(
 
 def true_motion(scene: Scene, travel: np.ndarray) -> MotionField:
     """How the ball moves, exactly, everywhere in the box."""
-    aabb, way = torch.tensor(scene.aabb).float(), torch.tensor(travel).float()
-    motion = MotionField.still(aabb, 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
-    motion.backward[1] -= way
-    motion.forward[1] += way
-    return motion
+    return straight(torch.tensor(scene.aabb).float(), travel)
 
 
 def look_at(

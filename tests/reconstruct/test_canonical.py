@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.make.models import canonical
 
 from devrf.capture.scene import SparsePoints
 from devrf.reconstruct.canonical import EMPTY, Canonical, shift_for
@@ -17,20 +18,8 @@ from devrf.reconstruct.shell import CUBE, FARTHEST_REACH, REACH, Shell, reach_of
 AABB = torch.tensor([[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]])
 
 
-def _canonical(resolution: float = 16, final: float = 16) -> Canonical:
-    return Canonical.new(
-        AABB,
-        resolution,
-        final,
-        channels=4,
-        mlp_width=8,
-        stepsize=0.5,
-        alpha_init=1e-2,
-        alpha_threshold=1e-4,
-        weight_threshold=1e-4,
-        device="cpu",
-        seed=0,
-    )
+def _canonical(resolution: float = 16) -> Canonical:
+    return canonical(AABB, resolution, 16)
 
 
 def test_grid_has_the_wanted_volume_in_proportion_to_the_box() -> None:
@@ -55,7 +44,7 @@ def test_opacity_is_alpha_init_where_nothing_is_known() -> None:
 def test_opacity_of_a_length_does_not_depend_on_resolution() -> None:
     alphas = []
     for resolution in (8, 16):
-        model = _canonical(resolution, 16)
+        model = _canonical(resolution)
         model.density += 2.0
         steps = 0.1 / model.step
         alphas.append(1 - (1 - model.alpha(torch.zeros(1, 3)).item()) ** steps)
@@ -97,7 +86,7 @@ def test_deferred_colours_are_those_of_the_samples_where_features_do_not_vary() 
 
 
 def test_deferred_colours_have_the_gradient_that_differences_show() -> None:
-    model = _canonical(8, 8)
+    model = canonical(AABB, 8)
     g = torch.Generator().manual_seed(0)
     model.density += 2 * torch.randn(model.density.shape, generator=g)
     model.features += torch.randn(model.features.shape, generator=g)

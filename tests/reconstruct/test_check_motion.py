@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 from tests.judged import fired
+from tests.make.models import NDC, canonical, still
 from tests.reconstruct.conftest import true_motion
 
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.in_motion import in_motion_measures
 from devrf.reconstruct.as_trained import retimed
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.check_motion import (
     FEWEST_PICTURES,
     SHIFTS,
@@ -26,8 +26,7 @@ from devrf.reconstruct.check_motion import (
 )
 from devrf.reconstruct.clocks import error_curves
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.ndc import CUBE, Ndc
+from devrf.reconstruct.ndc import CUBE
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.rest_model import RestModel
 
@@ -195,17 +194,13 @@ def test_what_others_see_of_a_wall_in_a_forward_scene(
     """Points two voxels behind the wall are seen, ten behind are not, however many metres deep voxels are there; and
     none from right beside, where a pixel is metres of depth.
     """
-    n, ndc = 48, Ndc(0.6, 0.45)
-    canonical = Canonical.new(
-        CUBE, n, n, channels=4, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-4,
-        weight_threshold=1e-4, device="cpu", seed=0, planes=n, ndc=ndc,
-    )  # fmt: skip
+    n = 48
+    at_rest = canonical(CUBE, n, planes=n, ndc=NDC)
     wall = 1 - 2 / z
-    canonical.density.copy_(torch.where(torch.linspace(-1, 1, n) >= wall, 30.0, -30.0)[:, None])
-    canonical.rebuild_occupancy()
-    canonical.net.requires_grad_(False)
-    motion = MotionField.still(CUBE, 2, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
-    model = DynamicModel(RestModel(canonical, None, "white", 0.3, 9.0, {}), motion)
+    at_rest.density.copy_(torch.where(torch.linspace(-1, 1, n) >= wall, 30.0, -30.0)[:, None])
+    at_rest.rebuild_occupancy()
+    at_rest.net.requires_grad_(False)
+    model = DynamicModel(RestModel(at_rest, None, "white", 0.3, 9.0, {}), still(CUBE, 2, 4))
     at = torch.rand(200, 2, generator=torch.Generator().manual_seed(0)) * 0.6 - 0.3
     two = []
     for side, frame in enumerate(
@@ -216,7 +211,7 @@ def test_what_others_see_of_a_wall_in_a_forward_scene(
         two.append(replace(frame, camera=replace(frame.camera, cam_from_world=ahead)))
     rays = RaySet(tuple(two), 1.0, "white")
     deep = torch.full((200, 1), wall + behind * 2 / (n - 1))
-    points = ndc.to_world(torch.cat([at, deep], dim=1))
+    points = NDC.to_world(torch.cat([at, deep], dim=1))
     first = torch.zeros(200, dtype=torch.int64)
     seen_from = rays.centres[:1].expand(200, 3)
     others = _seen_by_others(model, rays, first, seen_from, points, torch.zeros(200))

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, shift
-from tests.reconstruct.moving_ball import moving_ball
+from tests.make.models import moving_ball
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene

@@ -6,13 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.make.models import NDC, UNIT_BOX, canonical, still, straight
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.confidence import Witnesses, every_nth, subject_seen
 from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.ndc import CUBE, Ndc
+from devrf.reconstruct.ndc import CUBE
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shell import Shell
 
@@ -22,14 +21,7 @@ SOLID = 0.9  # opacity of pixels that surely show the ball
 @pytest.fixture(scope="module")
 def moving(ball, rest: RestModel) -> DynamicModel:
     """The ball at rest as it was learned, moved as it truly moves."""
-    keys, travel = 5, torch.tensor(ball.travel, dtype=torch.float32)
-    motion = MotionField.still(
-        torch.tensor([[-1.0] * 3, [1.0] * 3]), keys, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
-    )
-    shares = torch.linspace(0, 1, keys)[:, None, None, None, None] * travel
-    motion.forward += shares
-    motion.backward -= shares
-    return DynamicModel(rest, motion)
+    return DynamicModel(rest, straight(UNIT_BOX, ball.travel, keys=5))
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +89,7 @@ def test_what_no_moving_camera_sees_is_counted(ball, moving: DynamicModel) -> No
 
 def test_a_stray_floater_is_not_the_subject(ball, rest: RestModel) -> None:
     """A quiet scene in which a few points of the surface moved: the subject is all that is in the box."""
-    motion = MotionField.still(
-        torch.tensor([[-1.0] * 3, [1.0] * 3]), 2, 16, t_first=0.0, t_last=1.0, rest_key=0, device="cpu"
-    )
+    motion = still(UNIT_BOX, 2, 16)
     motion.backward[1, 10, 8, 8] += 0.2  # a vertex on the ball's surface
     motion.forward[1, 10, 8, 8] -= 0.2
     found = subject_seen(ball.scene, DynamicModel(rest, motion))
@@ -119,25 +109,20 @@ def test_witnesses_have_the_pixels_of_their_pictures(ball) -> None:
 @pytest.mark.parametrize("kind", ["room", "forward"])
 def test_rooms_and_forward_scenes(ball, kind: str) -> None:
     """Models with surroundings, and those in normalised device coordinates."""
-    ndc = Ndc(0.6, 0.45) if kind == "forward" else None
-    aabb = CUBE if ndc else torch.tensor([[-1.0] * 3, [1.0] * 3])
-    canonical = Canonical.new(
-        aabb, 16, 16, channels=4, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-4,
-        weight_threshold=1e-4, device="cpu", seed=0, planes=16 if ndc else None, ndc=ndc,
-    )  # fmt: skip
-    canonical.density += 4 + 2 * torch.randn(
-        canonical.density.shape, generator=torch.Generator().manual_seed(0)
-    )
-    canonical.rebuild_occupancy()
-    canonical.net.requires_grad_(False)
+    ndc = NDC if kind == "forward" else None
+    aabb = CUBE if ndc else UNIT_BOX
+    model = canonical(aabb, planes=16 if ndc else None, ndc=ndc)
+    model.density += 4 + 2 * torch.randn(model.density.shape, generator=torch.Generator().manual_seed(0))
+    model.rebuild_occupancy()
+    model.net.requires_grad_(False)
     shell = None
     if ndc is None:
         shell = Shell.new(aabb, 12, 12, near=0.3, device="cpu")
         shell.rebuild_occupancy()
-    model = RestModel(canonical, shell, "white" if ndc else "shell", 0.3, 9.0, {})
-    motion = MotionField.still(aabb, 3, 4, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    rest = RestModel(model, shell, "white" if ndc else "shell", 0.3, 9.0, {})
+    motion = still(aabb, 3, 4)
     motion.backward[1:] += 0.05
-    scene = replace(ball.scene, background=model.background)
+    scene = replace(ball.scene, background=rest.background)
     if ndc is not None:
 
         def ahead(frames: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:
@@ -149,7 +134,7 @@ def test_rooms_and_forward_scenes(ball, kind: str) -> None:
 
         scene = replace(scene, static=ahead(scene.static), dynamic=ahead(scene.dynamic), ndc=(0.6, 0.45))
     frame = next(f for f in scene.dynamic if f.split == "test" and f.time == 0.5)
-    seen = Witnesses(scene, DynamicModel(model, motion)).seen(frame.camera, 0.5)
+    seen = Witnesses(scene, DynamicModel(rest, motion)).seen(frame.camera, 0.5)
     assert seen.in_sweep[seen.opacity > SOLID].mean() > 1
-    shares = [part["share"] for part in subject_seen(scene, DynamicModel(model, motion))["seen_by"]]
+    shares = [part["share"] for part in subject_seen(scene, DynamicModel(rest, motion))["seen_by"]]
     assert sum(shares) == pytest.approx(1)

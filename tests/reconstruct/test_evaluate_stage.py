@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from tests.make.scenes import scene_of
 from tests.reconstruct.conftest import look_at
-from tests.scenes import scene_of
 
 from devrf.calibration.truth import read_truth
 from devrf.capture.camera import Camera

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tests.make.models import UNIT_BOX, still
 from tests.reconstruct.conftest import REST, true_motion
 from tests.refused import refused
 
@@ -16,7 +17,6 @@ from devrf.capture.scene import Scene, load_image
 from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.fine_tune import LR, fine_tune
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_canonical import train_canonical
@@ -99,8 +99,7 @@ def test_a_motion_too_large_for_the_device_is_taken_in_parts(
 
 
 def test_parts_of_a_motion_follow_its_size() -> None:
-    box = torch.tensor([[-1.0] * 3, [1.0] * 3])
-    motion = MotionField.still(box, 10, 8, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    motion = still(UNIT_BOX, 10, 8)
     assert fine_tuning._windows(motion, "cpu") == [(0, 9)]
     assert fine_tuning._windows(motion, "cuda") == [(0, 9)]
     large = torch.empty(10, 160, 160, 160, 3, device="meta")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from tests.make import models
 from tests.reconstruct.conftest import look_at
 
 from devrf.reconstruct.canonical import EMPTY, Canonical
@@ -36,10 +37,7 @@ def views() -> list[SeenView]:
 
 @pytest.fixture
 def canonical() -> Canonical:
-    model = Canonical.new(
-        torch.tensor([[-1.0, -1.0, -0.5], [1.0, 1.0, 1.5]]), 40, 40, channels=3, mlp_width=0, stepsize=0.5,
-        alpha_init=1e-4, alpha_threshold=1e-3, weight_threshold=1e-3, device="cpu", seed=0,
-    )  # fmt: skip
+    model = models.canonical(torch.tensor([[-1.0, -1.0, -0.5], [1.0, 1.0, 1.5]]), 40, **models.SURE)
     model.density[:] = EMPTY
     return model
 

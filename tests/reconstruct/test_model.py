@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 import torch
-from tests.reconstruct.test_model_io import _camera, _model
+from tests.make.models import before_random_model, random_model
 
 from devrf.reconstruct import model as models
 from devrf.reconstruct.model import CHUNK, FEWEST_AT_ONCE, render_layers, render_view
 
 
 def test_a_full_gpu_is_tried_again_with_fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:
-    camera = _camera().scaled(4.0)
-    expected = render_view(_model("white"), camera, None)
+    camera = before_random_model().scaled(4.0)
+    expected = render_view(random_model("white"), camera, None)
     render_rest, most, tried = models.render_rest, 1 << 10, []
 
     def full(canonical, shell, plain, rays_o, rays_d, **options):
@@ -21,7 +21,7 @@ def test_a_full_gpu_is_tried_again_with_fewer_rays(monkeypatch: pytest.MonkeyPat
         return render_rest(canonical, shell, plain, rays_o, rays_d, **options)
 
     monkeypatch.setattr(models, "render_rest", full)
-    model = _model("white")
+    model = random_model("white")
     np.testing.assert_allclose(render_view(model, camera, None), expected, atol=1e-6)
     assert model.chunk == most < CHUNK and max(tried) > most
     most = FEWEST_AT_ONCE - 1
@@ -31,9 +31,9 @@ def test_a_full_gpu_is_tried_again_with_fewer_rays(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.parametrize("background", ["white", "shell"])
 def test_a_rough_picture_differs_only_in_its_surroundings(background: str) -> None:
-    camera = _camera().scaled(4.0)
-    exact, depth, opacity = render_layers(_model(background), camera, 0.3)
-    model = _model(background)
+    camera = before_random_model().scaled(4.0)
+    exact, depth, opacity = render_layers(random_model(background), camera, 0.3)
+    model = random_model(background)
     rough, rough_depth, rough_opacity = render_layers(model, camera, 0.3, roughly=True)
     np.testing.assert_array_equal(depth, rough_depth)
     np.testing.assert_array_equal(opacity, rough_opacity)
@@ -47,7 +47,7 @@ def test_a_rough_picture_differs_only_in_its_surroundings(background: str) -> No
 
 
 def test_a_picture_can_be_given_up_between_two_parts() -> None:
-    model, camera, parts = _model("shell"), _camera().scaled(4.0), []
+    model, camera, parts = random_model("shell"), before_random_model().scaled(4.0), []
     model.chunk = 1 << 9
 
     def third() -> None:
@@ -59,20 +59,20 @@ def test_a_picture_can_be_given_up_between_two_parts() -> None:
         render_layers(model, camera, None, between=third)
     assert len(parts) == 3
     whole = render_view(model, camera, None)  # what was begun does no harm
-    np.testing.assert_array_equal(whole, render_view(_model("shell"), camera, None))
+    np.testing.assert_array_equal(whole, render_view(random_model("shell"), camera, None))
 
 
 def test_what_is_remembered_of_a_time_changes_nothing() -> None:
-    model = _model("white")
-    first = render_view(model, _camera(), 0.7)
+    model = random_model("white")
+    first = render_view(model, before_random_model(), 0.7)
     for time in np.linspace(0, 1, models.CACHED_TIMES + 5):
         model.live_at(float(time))
     assert len(model._live) <= models.CACHED_TIMES
-    np.testing.assert_array_equal(render_view(model, _camera(), 0.7), first)
+    np.testing.assert_array_equal(render_view(model, before_random_model(), 0.7), first)
 
 
 def test_what_is_in_the_box_alone_has_no_surroundings() -> None:
-    model, camera = _model("shell"), _camera().scaled(2.0)
+    model, camera = random_model("shell"), before_random_model().scaled(2.0)
     whole, depth, opacity = render_layers(model, camera, 0.4)
     alone, same_depth, same_opacity = render_layers(model.alone("white"), camera, 0.4)
     np.testing.assert_array_equal(depth, same_depth)

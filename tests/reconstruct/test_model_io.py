@@ -13,11 +13,10 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
+from tests.make.models import before_random_model, random_model
 from tests.refused import refused
 
-from devrf.capture.camera import Camera
 from devrf.capture.errors import ReconstructError
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.checkpoint import Checkpoint
 from devrf.reconstruct.model import DynamicModel, render_layers, render_view
 from devrf.reconstruct.model_io import (
@@ -29,37 +28,7 @@ from devrf.reconstruct.model_io import (
     save_motion,
     save_rest,
 )
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shell import Shell
 from devrf.reconstruct.training_log import TrainingLog
-
-AABB = torch.tensor([[-1.0, -1, -1], [1.0, 1, 1]])
-
-
-def _camera() -> Camera:
-    pose = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3.0]])
-    return Camera(20, 16, np.array([[25, 0, 10], [0, 25, 8], [0, 0, 1.0]]), pose)
-
-
-def _model(background: str = "shell", deferred: bool = False, seed: int = 0) -> DynamicModel:
-    g = torch.Generator().manual_seed(seed)
-    canonical = Canonical.new(
-        AABB, 16, 16, channels=4, mlp_width=8, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-4,
-        weight_threshold=1e-4, device="cpu", seed=0, deferred=deferred,
-    )  # fmt: skip
-    canonical.density += 3 * torch.randn(canonical.density.shape, generator=g)
-    canonical.features += torch.randn(canonical.features.shape, generator=g)
-    canonical.rebuild_occupancy()
-    canonical.net.requires_grad_(False)
-    shell = None
-    if background == "shell":
-        shell = Shell.new(AABB, 12, 12, near=0.3, reach=8.5, device="cpu")
-        shell.grid += torch.randn(shell.grid.shape, generator=g)
-        shell.rebuild_occupancy()
-    motion = MotionField.still(AABB, 3, 5, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
-    motion.backward[1:] += 0.1 * torch.randn(motion.backward[1:].shape, generator=g)
-    return DynamicModel(RestModel(canonical, shell, background, 0.3, 9.0, {}), motion)
 
 
 def test_a_disk_that_takes_no_such_file_is_the_systems_error(tmp_path: Path) -> None:
@@ -78,7 +47,7 @@ def test_a_disk_that_takes_no_such_file_is_the_systems_error(tmp_path: Path) -> 
 def test_files_have_the_rights_that_the_umask_leaves(tmp_path: Path) -> None:
     before = os.umask(0o027)
     try:
-        save_rest(tmp_path / "model", _model().rest)
+        save_rest(tmp_path / "model", random_model().rest)
         checkpoint = Checkpoint(tmp_path / "state", "one", every_s=0.0)
         checkpoint.keep(1, 5, TrainingLog("cpu", 3), lambda: ({"a": torch.zeros(1)}, {}))
     finally:
@@ -90,7 +59,7 @@ def test_files_have_the_rights_that_the_umask_leaves(tmp_path: Path) -> None:
     ("background", "deferred"), [("shell", False), ("white", False), ("black", False), ("white", True)]
 )
 def test_loaded_model_renders_the_same(background: str, deferred: bool, tmp_path: Path) -> None:
-    model, points = _model(background, deferred), torch.rand(99, 3).half().float()
+    model, points = random_model(background, deferred), torch.rand(99, 3).half().float()
     if model.rest.shell is not None:
         model.rest.shell.points = points
     for name in ("canonical", "deformation"):
@@ -104,31 +73,34 @@ def test_loaded_model_renders_the_same(background: str, deferred: bool, tmp_path
     if model.rest.shell is not None and again.rest.shell is not None:
         assert torch.equal(again.rest.shell.points, points)
     _render_the_same(model, again, atol=0.02)
-    model.in_motion = replace(_model(background, deferred, seed=1).rest, shell=None)
+    model.in_motion = replace(random_model(background, deferred, seed=1).rest, shell=None)
     save_rest(tmp_path / "deformation" / TUNED_FILE, model.in_motion)
     tuned = load_model(tmp_path)
     _render_the_same(model, tuned, atol=0.05)  # two random models
-    at_rest, moving = (render_view(tuned, _camera(), time) for time in (None, 0.0))
-    np.testing.assert_array_equal(at_rest, render_view(again, _camera(), None))
+    at_rest, moving = (render_view(tuned, before_random_model(), time) for time in (None, 0.0))
+    np.testing.assert_array_equal(at_rest, render_view(again, before_random_model(), None))
     assert np.abs(moving - at_rest).mean() > 1e-2
 
 
 def _render_the_same(model: DynamicModel, again: DynamicModel, atol: float) -> None:
     for time in (None, 0.0, 0.3, 1.0):
-        before, after = render_view(model, _camera(), time), render_view(again, _camera(), time)
+        before, after = (
+            render_view(model, before_random_model(), time),
+            render_view(again, before_random_model(), time),
+        )
         np.testing.assert_allclose(before, after, atol=atol)  # half precision of random features
         assert np.abs(before - after).mean() < 2e-3
 
 
 def test_first_key_is_the_scene_at_rest_and_motion_is_seen_between_keys() -> None:
-    model = _model("white")
-    rest, first, between = (render_view(model, _camera(), time) for time in (None, 0.0, 0.25))
+    model = random_model("white")
+    rest, first, between = (render_view(model, before_random_model(), time) for time in (None, 0.0, 0.25))
     np.testing.assert_allclose(rest, first, atol=2e-3)
     assert np.abs(between - rest).mean() > 1e-3
 
 
 def test_layers_are_colour_depth_and_opacity() -> None:
-    picture, depth, opacity = render_layers(_model("white"), _camera(), None)
+    picture, depth, opacity = render_layers(random_model("white"), before_random_model(), None)
     assert picture.shape == (16, 20, 3) and depth.shape == opacity.shape == (16, 20)
     assert 0 <= opacity.min() and opacity.max() <= 1 and opacity.max() > 0.5
     seen = opacity > 0.9
@@ -137,7 +109,7 @@ def test_layers_are_colour_depth_and_opacity() -> None:
 
 
 def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
-    model = _model()
+    model = random_model()
     rest, motion = tmp_path / "rest.safetensors", tmp_path / "motion.safetensors"
     save_rest(rest, model.rest)
     assert model.motion is not None
@@ -154,7 +126,7 @@ def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
 
 def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "rest.safetensors"
-    save_rest(path, _model().rest)
+    save_rest(path, random_model().rest)
     with safe_open(str(path), framework="pt") as file:
         meta = file.metadata()
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
@@ -168,7 +140,7 @@ def test_parts_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 
 def test_damaged_motion_is_refused(tmp_path: Path) -> None:
-    path, model = tmp_path / "motion.safetensors", _model()
+    path, model = tmp_path / "motion.safetensors", random_model()
     assert model.motion is not None
     save_motion(path, model.motion, 0.01)
     with safe_open(str(path), framework="pt") as file:
@@ -193,7 +165,7 @@ def test_damaged_motion_is_refused(tmp_path: Path) -> None:
 
 def test_empty_space_costs_nothing_and_changes_nothing(tmp_path: Path) -> None:
     """A small thing in a large box: a hundredth of the dense size, the same picture."""
-    model = _model("white")
+    model = random_model("white")
     canonical = model.rest.canonical
     canonical.density.fill_(-10.0)
     canonical.density[6:9, 6:9, 6:9] = 9.0
@@ -202,18 +174,22 @@ def test_empty_space_costs_nothing_and_changes_nothing(tmp_path: Path) -> None:
     again = load_rest(tmp_path / FILE)
     assert torch.equal(again.canonical.distance, canonical.distance)
     assert (tmp_path / FILE).stat().st_size < 0.5 * canonical.features.numel() * 2
-    before, after = (render_view(DynamicModel(rest), _camera(), None) for rest in (model.rest, again))
+    before, after = (
+        render_view(DynamicModel(rest), before_random_model(), None) for rest in (model.rest, again)
+    )
     np.testing.assert_allclose(before, after, atol=0.01)
     assert before.std() > 0.05
 
 
 def test_surroundings_are_the_same_where_rays_end_on_the_cube(tmp_path: Path) -> None:
     """Where nothing is met, the colour of the cube's face is seen: its vertices are kept, too."""
-    model = _model()
+    model = random_model()
     assert model.rest.shell is not None
     model.rest.shell.grid[..., 0] = -10.0
     model.rest.shell.rebuild_occupancy()
     save_rest(tmp_path / FILE, model.rest)
     again = load_rest(tmp_path / FILE)
-    before, after = (render_view(DynamicModel(rest), _camera(), None) for rest in (model.rest, again))
+    before, after = (
+        render_view(DynamicModel(rest), before_random_model(), None) for rest in (model.rest, again)
+    )
     np.testing.assert_allclose(before, after, atol=0.02)

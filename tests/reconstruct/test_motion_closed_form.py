@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.make.models import still
 from tests.reconstruct.conftest import REST, held_rays
 
 from devrf.capture.camera import Camera
@@ -16,7 +17,6 @@ from devrf.reconstruct.grids import voxel_size
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.losses import cycle_loss, flow_loss
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.pixel_flow import PUBLISHED_WIDTH, PixelFlow
 from devrf.reconstruct.train_canonical import train_canonical
@@ -139,7 +139,7 @@ def _blend(field: torch.Tensor, x: torch.Tensor, tau: torch.Tensor) -> torch.Ten
 
 def test_first_key_stays_the_identity_and_any_window_gives_the_same() -> None:
     rng = torch.Generator().manual_seed(2)
-    motion = MotionField.still(BOX, 6, 5, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    motion = still(BOX, 6, 5)
     motion.backward[1:] = 0.1 * torch.randn(5, *motion.backward.shape[1:], generator=rng)
     x = (BOX[1] - BOX[0]) * torch.rand(50, 3, generator=rng) + BOX[0]
     assert torch.equal(motion.to_rest(x, torch.zeros(50)), x)

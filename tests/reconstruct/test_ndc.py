@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from tests.make.models import NDC, planes
 
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import grid_shape
 from devrf.reconstruct.kernels.composite import composite_weights
 from devrf.reconstruct.kernels.march import march
-from devrf.reconstruct.ndc import CUBE, NEAR, Ndc
+from devrf.reconstruct.ndc import CUBE, NEAR
 from devrf.reconstruct.render import distances, points_on, segments_in
-
-NDC = Ndc(0.6, 0.45)
 
 
 def _points(n: int = 500) -> torch.Tensor:
@@ -26,13 +24,6 @@ def _rays(n: int = 200) -> tuple[torch.Tensor, torch.Tensor]:
     o = 0.4 * (torch.rand(n, 3, generator=rng) - 0.5)
     d = torch.cat([0.6 * (torch.rand(n, 2, generator=rng) - 0.5), torch.ones(n, 1)], dim=1)
     return o, torch.nn.functional.normalize(d, dim=1)
-
-
-def _model(planes: int = 32, seed: int = 0) -> Canonical:
-    return Canonical.new(
-        CUBE, 24, 24, channels=9, mlp_width=16, stepsize=0.5, alpha_init=1e-2, alpha_threshold=1e-6,
-        weight_threshold=1e-6, device="cpu", seed=seed, planes=planes, ndc=NDC,
-    )  # fmt: skip
 
 
 def test_world_and_back() -> None:
@@ -66,23 +57,23 @@ def test_rays_that_look_away_miss() -> None:
     assert (segments.t_out <= segments.t_in).all()
 
 
-@pytest.mark.parametrize("planes", [9, 32, 128])
-def test_planes_start_equally_likely_to_stop_a_ray(planes: int) -> None:
-    model = _model(planes)
+@pytest.mark.parametrize("count", [9, 32, 128])
+def test_planes_start_equally_likely_to_stop_a_ray(count: int) -> None:
+    model = planes(count)
     o, d = torch.zeros(1, 3), torch.tensor([[0.0, 0.0, 1.0]])
     segments = segments_in(CUBE, NDC, o, d, 0.0, torch.full((1,), 0.5))
     samples = march(segments, model.volume())
     x = points_on(segments, samples)
     weights, left = composite_weights(model.alpha(x), samples.offsets)
-    plane = ((x[:, 2] + 1) / 2 * (planes - 1)).round().long()
-    per_plane = torch.zeros(planes).index_add_(0, plane, weights)
+    plane = ((x[:, 2] + 1) / 2 * (count - 1)).round().long()
+    per_plane = torch.zeros(count).index_add_(0, plane, weights)
     assert float(left) < 0.02  # the last plane is opaque
-    inner = per_plane[1 : planes - 2]
-    assert float((inner * planes - 1).abs().max()) < 0.25, inner * planes
+    inner = per_plane[1 : count - 2]
+    assert float((inner * count - 1).abs().max()) < 0.25, inner * count
 
 
 def test_planes_stay_when_the_grid_is_refined() -> None:
-    model = _model(16)
+    model = planes(16)
     before, step = model.shape, model.step
     model.refine(48)
     assert model.shape[2] == before[2] == 16 and model.shape[0] > 2 * before[0]
@@ -92,7 +83,7 @@ def test_planes_stay_when_the_grid_is_refined() -> None:
 
 def test_distances_are_those_of_the_world() -> None:
     o, d = _rays(50)
-    model = _model()
+    model = planes()
     segments = segments_in(CUBE, NDC, o, d, 0.0, torch.full((50,), 0.5))
     samples = march(segments, model.volume())
     away = distances(points_on(segments, samples), samples, NDC, o)

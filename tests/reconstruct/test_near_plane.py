@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tests.reconstruct.moving_ball import AABB, COLOUR, moving_ball
+from tests.make.models import AABB, COLOUR, moving_ball
 
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from tests.scenes import scene_of
+from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.make.models import canonical
 from tests.reconstruct.conftest import REST
 from tests.reconstruct.deaths import until_done
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import load_image
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.canonical import Canonical
 from devrf.reconstruct.grids import grid_shape
 from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing, rest_key_of
 from devrf.reconstruct.model import DynamicModel, render_view
@@ -66,11 +66,8 @@ def test_motion_of_a_frustum_follows_its_voxels() -> None:
     motion = preset("fast", forward=True).motion
     for ratio in (1.0, 0.5):
         given = preset("fast", forward=True, resolution=round(160 * ratio))
-        model = Canonical.new(
-            CUBE, given.canonical.resolution, given.canonical.resolution, channels=3, mlp_width=0, stepsize=1.0,
-            alpha_init=0.01, alpha_threshold=0.0, weight_threshold=0.0, device="cpu", seed=0,
-            planes=given.canonical.planes, ndc=Ndc(1.0, 1.0),
-        )  # fmt: skip
+        rest = given.canonical
+        model = canonical(CUBE, rest.resolution, planes=rest.planes, ndc=Ndc(1.0, 1.0))
         assert levels_for(motion, model).levels == tuple(round(level * ratio) for level in motion.levels)
         assert levels_for(given.motion, model) == given.motion
 

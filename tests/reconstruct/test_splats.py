@@ -8,10 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.make.models import (
+    BALL,
+    COLOUR,
+    RADIUS,
+    REST,
+    SLAB,
+    STICK,
+    TRAVEL,
+    motion_at,
+    moving_ball,
+    moving_parts,
+    outside,
+)
+from tests.make.scenes import scene_of
 from tests.reconstruct.conftest import around, look_at
-from tests.reconstruct.moving_ball import COLOUR, RADIUS, TRAVEL, moving_ball
-from tests.reconstruct.moving_parts import BALL, REST, SLAB, STICK, motion_at, moving_parts, outside
-from tests.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats.ply import write_splat_ply

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from tests.make.models import COLOUR, RADIUS, TRAVEL, moving_ball, planes
 from tests.reconstruct.conftest import around, look_at
-from tests.reconstruct.moving_ball import COLOUR, RADIUS, TRAVEL, moving_ball
-from tests.reconstruct.test_ndc import _model as _planes
 from tests.refused import refused
 
 from devrf.capture.camera import Camera
@@ -77,7 +76,7 @@ def test_crumbs_are_left_out(model: DynamicModel) -> None:
 
 
 def test_the_plane_behind_everything_is_no_surface() -> None:
-    canonical = _planes()
+    canonical = planes()
     canonical.density[:] = -20.0
     canonical.density[8:16, 6:12, 10:14] = 20.0
     canonical.density[:, :, -1] = 20.0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from tests.scenes import scene_of
+from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, SparsePoints
