@@ -1,4 +1,5 @@
-"""What a finished sweep model says of its own faults: residuals with a pattern, a flat scene, a cropped picture.
+"""What a finished sweep model says of its own faults: residuals with a pattern, lenses beyond their model, a flat
+scene, a loop that did not close.
 
 Measures only; how much is too much says the table of `pipelines/health`.
 """
@@ -7,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy import sparse
 
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.camera import Camera
@@ -16,6 +18,9 @@ SURE_FOCAL = 0.02  # standard deviation of a picture's own focal, relative; othe
 TWO_PEAKS_APART = 4.0  # gap between two groups over the scatter within them
 FEWEST_OF_A_ZOOM = 3  # pictures
 FLAT = 0.01  # of the distance: relief that moves a focal length by less than other errors do
+NEAR = 0.25  # centres nearer than this share of the depth see the same things, ...
+SAME_WAY_DEG = 20.0  # ... if they look the same way
+NOT_NEIGHBOURS = 0.25  # of the sweep; pictures further apart in time close a loop
 PLANE_TRIALS = 200  # triplets; half the points on a plane are found by the 30th
 
 
@@ -97,6 +102,29 @@ def two_zooms(model: SweepModel, fits: PictureFits, apart: float) -> TwoZooms | 
     return None
 
 
+def fold(camera: Camera) -> float:
+    """Where the lens model stops being one-to-one: image radius over the corner's; infinite where nowhere.
+
+    A Brown-Conrady polynomial with large coefficients turns back: two directions meet in one pixel there.
+    """
+    if camera.model != "OPENCV":
+        return float("inf")
+    k1, k2, _, _, k3 = camera.distortion
+    roots = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0]) if np.any(camera.distortion) else np.zeros(0)
+    squares = [root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0]
+    if not squares:
+        return float("inf")
+    r2 = min(squares)
+    turning = np.sqrt(r2) * (1 + r2 * (k1 + r2 * (k2 + r2 * k3)))
+    return float(turning / _corner(camera))
+
+
+def field_of_view_deg(camera: Camera) -> float:
+    """Across the longer side, by the focal length alone."""
+    side = 0 if camera.width >= camera.height else 1
+    return float(np.degrees(2 * np.arctan(max(camera.width, camera.height) / 2 / camera.K[side, side])))
+
+
 def principal_point_off(camera: Camera) -> float:
     """Largest distance of the principal point from the middle, over the width."""
     off = np.abs(camera.K[:2, 2] - [camera.width / 2, camera.height / 2])
@@ -119,6 +147,31 @@ def plane_share(model: SweepModel) -> float:
         if length > 0:
             best = max(best, float((np.abs((xyz - a) @ (normal / length)) < FLAT * depth).mean()))
     return best
+
+
+def open_loop(model: SweepModel) -> tuple[float, tuple[str, str]] | None:
+    """Pictures taken far apart in time, near each other, looking the same way: which share of such pairs has points
+    in common, and the first pair that has none. None where the path never comes back.
+    """
+    n = len(model.names)
+    centres = np.array([c.centre for c in model.cameras])
+    forward = np.array([c.cam_from_world[2, :3] for c in model.cameras])
+    ones = np.ones(len(model.obs_point))
+    shape = (n, len(model.xyz))
+    seen = sparse.coo_matrix((ones, (model.obs_image, model.obs_point)), shape=shape).tocsr()
+    common = (seen @ seen.T).toarray()
+    along = np.einsum(
+        "ij,ij->i", model.xyz[model.obs_point] - centres[model.obs_image], forward[model.obs_image]
+    )
+    depth = np.array([np.median(along[model.obs_image == i]) if common[i, i] else 0.0 for i in range(n)])
+    a, b = np.triu_indices(n, max(2, int(NOT_NEIGHBOURS * n)))
+    near = np.linalg.norm(centres[a] - centres[b], axis=1) < NEAR * np.minimum(depth[a], depth[b])
+    near &= np.einsum("ij,ij->i", forward[a], forward[b]) > np.cos(np.radians(SAME_WAY_DEG))
+    if not near.any():
+        return None
+    linked = common[a, b][near] > 0
+    first = int(np.flatnonzero(near)[np.argmin(linked)])
+    return float(linked.mean()), (model.names[a[first]], model.names[b[first]])
 
 
 def _derivatives(

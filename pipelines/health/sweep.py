@@ -4,7 +4,15 @@ from collections.abc import Iterator
 from typing import Any
 
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.sweep.checks import picture_fits, plane_share, principal_point_off, two_zooms
+from devrf.calibration.sweep.checks import (
+    field_of_view_deg,
+    fold,
+    open_loop,
+    picture_fits,
+    plane_share,
+    principal_point_off,
+    two_zooms,
+)
 from devrf.calibration.sweep.static_poses import MAX_IMAGE_SIZE, SweepModel
 from devrf.capture.frames import some
 from devrf.capture.measure import Measure
@@ -12,6 +20,9 @@ from devrf.capture.measure import Measure
 POOR_POINTS = 100  # of a picture: named in the remedy
 MOVING_SHARE = 0.1  # of a picture's textured tiles
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
+MODEL = "what its lens model holds"
+WIDE_DEG = 110.0  # across; wider lenses need a fisheye's model
+LINKED = 0.2  # of pictures of the same place that share points: fewer leave a loop open
 EXIF_BAD = 15.0  # percent: another crop's equivalent, rather
 CROP = "; is it the 35 mm equivalent of another crop?"
 
@@ -36,6 +47,11 @@ def sweep_measures(
         facts = {"short": some(zooms.short), "long": some(zooms.long)}
         text = f"two groups, {100 * (zooms.ratio - 1):.0f} % apart"
         yield Measure("sweep-focal", text, "one for all pictures", "zooms", facts)
+    loop = open_loop(model)
+    if loop is not None and loop[0] < LINKED:
+        one, other = loop[1]
+        text = f"{100 * loop[0]:.0f} % of the pictures of the same place share points"
+        yield Measure("sweep-in-parts", text, why="loop", facts={"one": one, "other": other})
     yield from _unfinished(model.report, side_px)
 
 
@@ -53,7 +69,7 @@ def _registered(r: dict[str, Any]) -> Iterator[Measure]:
     if apart:
         parts = "; ".join(f"{len(m)}: {some(m)}" for m in apart)
         text = f"{len(r['models'])} models: {', '.join(map(str, r['models']))} pictures"
-        yield Measure("sweep-in-parts", text, facts={"parts": parts})
+        yield Measure("sweep-in-parts", text, why="parts", facts={"parts": parts})
 
 
 def _pairs(r: dict[str, Any]) -> Iterator[Measure]:
@@ -86,7 +102,13 @@ def _lenses(model: SweepModel, board: Intrinsics | None) -> Iterator[Measure]:
         focals = [found[str(n)] for n in ids]
         off = 100 * abs(focals[0] / board.K[0, 0] - 1) if focals else None
         yield Measure("sweep-focal", off, "the board")
-    lenses = {camera.lens: camera for camera in model.cameras}.values()
+    lenses = list({camera.lens: camera for camera in model.cameras}.values())
+    wide = max((field_of_view_deg(c) for c in lenses if c.model == "OPENCV"), default=0.0)
+    if wide > WIDE_DEG:
+        yield Measure("sweep-focal", f"{wide:.0f} degrees wide", MODEL, "wide")
+    folds = min(fold(c) for c in lenses)
+    if folds < 1:
+        yield Measure("sweep-focal", f"one-to-one to {100 * folds:.0f} % of the corners", MODEL, "folds")
     put_back = r["adjustment"] is not None and r["adjustment"]["principal_point_put_back"]
     text = "left the middle by more than 5 % of the width and was put back"
     off = max((100 * principal_point_off(c) for c in lenses), default=0.0)

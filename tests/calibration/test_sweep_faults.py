@@ -19,8 +19,9 @@ from devrf.calibration.sweep.two_views import TwoViews, against_model, torn_apar
 from devrf.capture.camera import Camera
 from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place
+from devrf.capture.view_axes import look_at
 from devrf.pipelines.health.judge import HealthRow
-from devrf.pipelines.health.sweep import sweep_measures
+from devrf.pipelines.health.sweep import LINKED, sweep_measures
 
 FOCAL, SIZE = 300.0, (320, 240)  # what the corner is drawn with
 
@@ -237,14 +238,24 @@ def test_a_rolling_shutter_is_named(corner):
     assert row.value == pytest.approx(0.8, abs=0.3)
 
 
-def test_a_cropped_picture_is_named(corner):
-    """B14: the principal point lies 9 % of the width off the middle."""
+@pytest.mark.parametrize(
+    ("code", "lens"),
+    [
+        ("sweep-centre", {"cx": 30.0}),  # B14: 9 % of the width
+        ("sweep-focal what its lens model holds", {"k1": -1.2}),  # B15
+        ("sweep-focal what its lens model holds", {"f": 0.35}),  # B16: 117 degrees
+    ],
+)
+def test_lenses_beyond_their_model_are_named(corner, code, lens):
+    def bad(camera):
+        K, distortion = camera.K.copy(), camera.distortion.copy()
+        K[0, 2] += lens.get("cx", 0.0)
+        K[:2, :2] *= lens.get("f", 1.0)
+        distortion[:2] = [lens.get("k1", distortion[0]), 0.0]
+        return replace(camera, K=K, distortion=distortion)
 
-    def cropped(camera):
-        return replace(camera, K=camera.K + np.array([[0, 0, 30.0], [0, 0, 0], [0, 0, 0]]))
-
-    faulty = replace(corner.model, cameras=tuple(map(cropped, corner.model.cameras)))
-    assert "sweep-centre" in fired(faulty)
+    faulty = replace(corner.model, cameras=tuple(bad(camera) for camera in corner.model.cameras))
+    assert code in fired(faulty) and "sweep-focal what its lens model holds" not in fired(corner.model)
 
 
 def test_a_principal_point_that_was_put_back_is_named(corner):
@@ -355,3 +366,35 @@ def test_small_and_many_models_are_named(corner):
     assert "sweep-in-parts" not in fired(
         changed(corner.model, models=[61, 2], other_models=[["a.png", "b.png"]])
     )
+
+
+def test_an_open_loop_is_named():
+    """B19: a full circle whose end sees what its beginning saw, but shares no point with it."""
+    n, rng = 30, np.random.default_rng(0)
+    xyz = rng.uniform(-1, 1, (600, 3))
+    cameras = []
+    for angle in np.linspace(0, 2 * np.pi, n, endpoint=False):
+        centre = 4 * np.array([np.cos(angle), 0, np.sin(angle)])
+        K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
+        cameras.append(Camera(*SIZE, K, look_at(centre, np.zeros(3), (0.0, -1.0, 0.0))))
+
+    def sweep(closed: bool) -> SweepModel:
+        image, point = [], []
+        # each point is followed through five pictures, over the end where it is closed
+        for p in range(len(xyz)):
+            for i in range(p % n, p % n + 5):
+                if closed or i < n:
+                    image.append(i % n)
+                    point.append(p)
+        i, p = np.array(image), np.array(point)
+        xy = np.array([cameras[a].project(xyz[b]) for a, b in zip(i, p, strict=True)])
+        names = tuple(f"static/{k:06d}.png" for k in range(n))
+        some = np.zeros(len(xyz))
+        nothing = np.zeros((len(i), 128), np.uint8)
+        return SweepModel(
+            names, tuple(cameras), xyz, np.zeros((600, 3), np.uint8), some, p, i, xy, nothing, {}
+        )
+
+    loop = open_loop(sweep(closed=True))
+    assert loop is not None and loop[0] > LINKED
+    assert open_loop(sweep(closed=False)) == (0, ("static/000000.png", "static/000029.png"))
