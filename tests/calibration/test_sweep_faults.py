@@ -13,7 +13,7 @@ from tests import judged
 from tests.refused import refused
 
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.calibration.sweep.checks import picture_fits, two_zooms
+from devrf.calibration.sweep.checks import open_loop, picture_fits, two_zooms
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.sweep.two_views import TwoViews, against_model, torn_apart
 from devrf.capture.camera import Camera
