@@ -199,7 +199,6 @@ def test_portrait_clips_of_two_sizes(devrf: Callable, data_dir: Path, tmp_path: 
     given.write_text(json.dumps({"cameras": rig}))
     result = devrf("run", portrait(tmp_path, data_dir, given), "--until", "flow")
     assert result.code == 0, result.said
-    assert "1080x1920" in result.said or "1080x1920" in (tmp_path / "run/devrf.log").read_text()
     ingest = read(tmp_path / "run/ingest/ingest.json")["cameras"]
     assert {name: (c["width"], c["height"]) for name, c in ingest.items()} == {
         name: (width, 1920) for name, width in sizes.items()
