@@ -17,6 +17,7 @@ class LocalPool:
         memory_gb: Main memory that each task may hold.
         gpus: GPUs; each task gets one of its own where there are any, so that no more run at once.
     Attributes:
+        at_once: Tasks that can run at once: so many threads ask for a place.
         stopped: Set, nothing more is begun, and what runs is ended in order.
     """
 
@@ -24,7 +25,8 @@ class LocalPool:
         self.threads, self.memory_gb, self.gpus = threads, memory_gb, gpus
         self.stopped = threading.Event()
         self._places: queue.SimpleQueue[int | None] = queue.SimpleQueue()
-        for place in range(min(jobs, gpus or jobs)):
+        self.at_once = min(jobs, gpus or jobs)
+        for place in range(self.at_once):
             self._places.put(place if gpus else None)
 
     def run(self, task: Task, begun: Callable[[], None]) -> Ended:

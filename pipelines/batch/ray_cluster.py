@@ -26,6 +26,7 @@ SILENT = {
 }
 TICK_S = 1.0  # between two looks at whether to stop; a thousand threads look
 KNOCK_S = 5.0  # a head that does not take a connection within this time is not there
+MOST_SCENES = 1000  # whose tasks wait for room in the cluster at once, each in a thread of its own
 
 
 class RayCluster:
@@ -37,6 +38,7 @@ class RayCluster:
         cores: Cores of a task where neither `jobs` nor the number of GPUs says; fewer where a node has fewer.
         device: auto, cpu or cuda.
     Attributes:
+        at_once: Tasks that can run or wait for room at once: so many threads wait for one.
         threads, memory_gb: Cores and main memory that each task gets.
         gpus: GPUs there are; each task gets one where there are any.
         stopped: Set, nothing more is begun, and what runs is ended in order.
@@ -46,6 +48,7 @@ class RayCluster:
 
     def __init__(self, address: str | None, jobs: int | None, cores: int, device: str) -> None:
         self._ray = ray = _connected(address)
+        self.at_once = MOST_SCENES
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         able = [node for node in nodes if node.get("CPU", 0) >= 1 and node.get("memory")]
         if not able:

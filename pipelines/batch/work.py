@@ -16,7 +16,6 @@ from devrf.pipelines.runner.run import Run
 
 TICK_S = 0.5  # between two looks at what runs
 ATTEMPTS = 4  # of one task, three of them anew: whatever takes down so many nodes is the task
-MOST_SCENES = 1000  # in work or waiting for room at once, each in a thread of its own
 
 
 @dataclass
@@ -36,7 +35,7 @@ class Work:
     def through(self, scenes: Sequence[BatchScene]) -> None:
         """Work on all scenes whose rows have not ended; the rows then say how each came out."""
         pairs = list(zip(scenes, self.board.rows, strict=True))
-        with ThreadPoolExecutor(MOST_SCENES, "batch") as pool:
+        with ThreadPoolExecutor(self.engine.at_once, "batch") as pool:  # they begin in their order
             waiting = {pool.submit(self._work, scene, row) for scene, row in pairs if row.code is None}
             try:
                 while waiting:

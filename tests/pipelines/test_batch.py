@@ -249,7 +249,11 @@ def batch_in_course(folder: Path) -> subprocess.Popen:
     process = subprocess.Popen(
         [sys.executable, *words, "--out", str(folder / "o")], stderr=subprocess.PIPE, text=True
     )
-    wait_for(lambda: list(folder.glob("a/run/.new-canonical*")), process=process)
+    try:
+        wait_for(lambda: list(folder.glob("a/run/.new-canonical*")), process=process)
+    except BaseException:
+        process.kill()
+        raise
     return process
 
 

@@ -164,4 +164,16 @@ def test_stopped_it_begins_nothing_more(tmp_path: Path, monkeypatch: pytest.Monk
         return Ended(STOPPED if stop() else DONE)
 
     rows = worked(tmp_path, monkeypatch, run, pool, ["a", "b", "c"])
-    assert [row.state for row in rows] == ["stopped"] * 3 and len(begun) == 1
+    assert [row.state for row in rows] == ["stopped"] * 3 and [path.parent.name for path in begun] == ["a"]
+
+
+def test_scenes_begin_in_their_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[str] = []
+
+    def run(task: Task, stop: object, gpu: int | None) -> Ended:
+        begun.append(task.path.parent.name)
+        return Ended(DONE)
+
+    names = [f"s{n}" for n in range(20)]
+    worked(tmp_path, monkeypatch, run, LocalPool(1, 1, 1.0, 0), names)
+    assert begun == names
