@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.frames import SHARPNESS_SIDE_PX, places
+from devrf.capture.frames import SHARPNESS_SIDE_PX, some
 from devrf.capture.measure import Measure
 from devrf.capture.steadiness import find_corners, follow
 from devrf.capture.video import VideoFrame, VideoInfo
@@ -73,7 +73,7 @@ class Repeats:
 
 def repeats_fault(repeated: list[int], count: int) -> Measure:
     """What to say of repeated frames."""
-    text = f"{len(repeated)} of {count} frames repeat the one before: {places(repeated)}; they are not used"
+    text = f"{len(repeated)} of {count} frames repeat the one before: {some(repeated)}; they are not used"
     return Measure("not-used", text, why="repeated")
 
 

@@ -5,7 +5,7 @@ from jaxtyping import UInt8
 
 from devrf.capture.clip_faults import LOOK_EVERY_S, Levels, Repeats, Tripod
 from devrf.capture.courses import CourseMeter
-from devrf.capture.frames import Role, places
+from devrf.capture.frames import Role, some
 from devrf.capture.light import SMALL_SIDE_PX, LightMeter, clipped_share, highlight_faults
 from devrf.capture.measure import Measure
 from devrf.capture.video import VideoFrame, VideoInfo
@@ -99,7 +99,7 @@ class Unused:
         notes = []
         if self._backwards:
             back = self._backwards
-            notes.append(f"{len(back)} timestamps do not increase, frames {places(back)}; not used")
+            notes.append(f"{len(back)} timestamps do not increase, frames {some(back)}; not used")
         if self._untimed:
             notes.append(f"{self._untimed} of {count} frames have no row in the table of times; not used")
         return notes

@@ -29,7 +29,7 @@ VARIABLE_STEP = 0.05  # steps further than this share of the usual one from a mu
 VARIABLE_STEP_S = 1.1e-3  # ... and by more than the rounding of millisecond time bases
 VARIABLE_SHARE = 0.02  # ... in more than this share of the steps: a variable rate, not single drops
 DROPPED_STEP = 1.5  # a step this many times the usual one: frames are missing
-LISTED = 4  # places named in a note
+LISTED = 6  # frames, photos or files that a text names
 
 
 @dataclass(frozen=True)
@@ -177,15 +177,10 @@ def _camera_frames(raw: dict[str, Any]) -> CameraFrames:
     return CameraFrames(**{**raw, "frames": frames, "notes": tuple(raw["notes"]), "faults": faults})
 
 
-def places(items: Sequence[int] | Sequence[str]) -> str:
-    """The first few of many frames or photos."""
-    return ", ".join(map(str, items[:LISTED])) + (" ..." if len(items) > LISTED else "")
-
-
-def some(things: Sequence[Any], most: int = 6) -> str:
-    """The first few of many things, and how many more there are; "none" of none."""
-    more = f" and {len(things) - most} more" if len(things) > most else ""
-    return (", ".join(map(str, things[:most])) + more) or "none"
+def some(things: Sequence[Any]) -> str:
+    """The first few of many frames, photos or cameras, and how many more there are; "none" of none."""
+    more = f" and {len(things) - LISTED} more" if len(things) > LISTED else ""
+    return (", ".join(map(str, things[:LISTED])) + more) or "none"
 
 
 # --- sharpness and choice ---
@@ -274,9 +269,7 @@ def timing(time_s: Float[np.ndarray, " n"]) -> Timing:
     missing = 0
     if len(gaps):
         missing = int(np.round(steps[gaps] / usual - 1).clip(1).sum())
-        where = ", ".join(f"{time_s[i]:.2f} s" for i in gaps[:LISTED]) + (
-            " ..." if len(gaps) > LISTED else ""
-        )
+        where = some([f"{time_s[i]:.2f} s" for i in gaps])
         notes.append(f"{missing} frames missing in {len(gaps)} gaps, after {where}; the gaps are kept")
     fps_mean = float((len(time_s) - 1) / (time_s[-1] - time_s[0]))
     return Timing(fps_mean, variable, missing, tuple(notes))

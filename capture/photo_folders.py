@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from devrf.capture.errors import InputError
-from devrf.capture.frames import places
+from devrf.capture.frames import some
 from devrf.capture.measure import Measure
 from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.raw import is_raw
@@ -74,7 +74,7 @@ def unread_faults(folder: Path) -> list[Measure]:
     faults, unread = [], unread_kinds(folder)
     if unread:
         count = sum(map(len, unread.values()))
-        first = places([file.name for files in unread.values() for file in files])
+        first = some([file.name for files in unread.values() for file in files])
         text = f"{count} beside {len(list_pictures(folder))} that are: {_counted(unread)} ({first})"
         faults.append(
             Measure("not-used", f"photos that are not read: {text}", why="kinds", facts={"convert": CONVERT})
@@ -100,7 +100,7 @@ def numbering(pictures: list[Path]) -> list[str]:
     if len(numbers) == len(pictures) and len({m[1] for m in matches if m is not None}) == 1:
         missing = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
         if 0 < len(missing) <= len(numbers):  # more: numbers that are times, or count in steps
-            between = f"between {numbers[0]} and {numbers[-1]}: {places(missing)}"
+            between = f"between {numbers[0]} and {numbers[-1]}: {some(missing)}"
             notes.append(f"{len(missing)} numbers are missing {between}")
     return notes
 

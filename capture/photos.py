@@ -13,9 +13,9 @@ from devrf.capture.frames import (
     FrameRecord,
     Role,
     grey_small,
-    places,
     sharpest_per_window,
     sharpness,
+    some,
 )
 from devrf.capture.light import clipped_share, highlight_faults
 from devrf.capture.measure import Measure
@@ -160,7 +160,7 @@ def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> lis
         other = [photo.name for photo in photos if photo.size not in taken]
         notes.append(
             f"mixed sizes: {_sizes(counts, taken)} are used, {_sizes(counts, set(counts) - taken)} are not "
-            f"({places(other)}); one camera in one mode is expected"
+            f"({some(other)}); one camera in one mode is expected"
         )
     return notes
 
@@ -173,7 +173,7 @@ def _curve_fault(photos: list[_Photo]) -> list[Measure]:
     gamma = (
         f"{len(other)} of {len(photos)} photos name a gamma of {other[0].gamma:.2g}, all are taken as sRGB"
     )
-    return [Measure("coding", f"{gamma}: {places([photo.name for photo in other])}", why="linear")]
+    return [Measure("coding", f"{gamma}: {some([photo.name for photo in other])}", why="linear")]
 
 
 def _sizes(counts: Counter[Size], which: set[Size]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from devrf.capture.errors import CaptureError, InputError
+from devrf.capture.frames import some
 from devrf.capture.picture_files import PICTURE_SUFFIXES, read_pixels
 
 SAME_SHAPE = 0.01  # relative difference of the sides' ratio: the same picture at another size
@@ -130,8 +131,7 @@ def _opacity(file: Path) -> UInt8[np.ndarray, "h w"]:
 def _missing(
     folder: Path, missing: list[str], count: int, by_number: Mapping[int, Path], wanted: set[int]
 ) -> CaptureError:
-    listed = ", ".join(missing[:LISTED]) + (" ..." if len(missing) > LISTED else "")
-    text = f"{folder}: no matte of {len(missing)} of the camera's {count} pictures: {listed}; "
+    text = f"{folder}: no matte of {len(missing)} of the camera's {count} pictures: {some(missing)}; "
     if by_number and 0 in wanted and min(by_number) == 1:
         text += "its files are numbered from 1, frames are counted from 0: rename them"
         return CaptureError("mattes-misnumbered", text)

@@ -1,12 +1,11 @@
 """One camera's board calibration, for the stages that make one."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 from devrf.calibration.boards.calibrate import BoardCalibration
 from devrf.capture.frames import some
 from devrf.capture.measure import Measure
-from devrf.pipelines.health.judge import judge
+from devrf.pipelines.health.judge import warns_at
 
 MISREAD = 10.0  # times the median error: such a view was not a bad one, but misread
 BOW_SHARE = 0.003  # of the board's longer side: 1 mm of 33 cm, which moves the focal length by some tenths of a percent
@@ -27,11 +26,11 @@ def board_measures(name: str, board: BoardCalibration) -> Iterator[Measure]:
     yield Measure("board-tilt", board.evidence.tilt_sectors, name)
     unseen = ", ".join(board.evidence.unseen)
     never = {"never": f" Never seen: {unseen}." if unseen else ""}
-    covered = Measure("board-coverage", board.evidence.coverage, name, facts=never)
+    coverage = board.evidence.coverage
     corners = sum("corner" in place for place in board.evidence.unseen)
-    if corners > MOST_CORNERS and judge([covered])[0].verdict == "ok":
-        covered = replace(covered, value=f"never seen in {corners} corners")
-    yield covered
+    cut = coverage >= warns_at("board-coverage") and corners > MOST_CORNERS
+    value = f"never seen in {corners} corners" if cut else coverage
+    yield Measure("board-coverage", value, name, facts=never)
     bow, std_mm = max(zip(board.bow_mm, board.bow_std_mm, strict=True), key=lambda along: abs(along[0]))
     if bow != 0.0:
         corners_m = board.board.corners

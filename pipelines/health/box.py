@@ -10,12 +10,11 @@ from devrf.calibration.motion_masks import MotionMask
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.measure import Measure
 from devrf.capture.scene import PosedFrame
+from devrf.pipelines.health.judge import warns_at
 from devrf.pipelines.scene_mattes import SceneMattes
 
 LEAVES = 0.05  # of the subject's pixels outside the box: it leaves the box in this picture
 MOST_LEAVING = 0.1  # of a camera's pictures
-# Shares from which on the remedy says where; judged are they by the table.
-UNEXPLAINED, CUT = 0.15, 0.02
 
 
 def box_measures(
@@ -36,8 +35,8 @@ def box_measures(
     elif moves:
         if "hull" in bounds.basis:
             found = dict(zip(moves, not_explained(list(moves.values()), *box), strict=True))
-            yield _worst("box-unexplained", found, UNEXPLAINED, ", ")
-        yield _worst("box-cuts", {name: cut_off(m, *box) for name, m in moves.items()}, CUT, " sees it ")
+            yield _worst("box-unexplained", found, ", ")
+        yield _worst("box-cuts", {name: cut_off(m, *box) for name, m in moves.items()}, " sees it ")
     cameras = {f.camera_name: f.camera for f in dynamic if f.split == "train"}
     if len(cameras) > 1:
         yield Measure("box-one-sided", 100 * seen_by_fewer(list(cameras.values()), *box, 2))
@@ -64,8 +63,9 @@ def _leaving(mattes: SceneMattes, box: tuple[np.ndarray, np.ndarray]) -> Iterato
         yield Measure("box-cuts", text, "the sweep" if name == SWEEP else name, "mattes", {"folder": name})
 
 
-def _worst(code: str, found: Mapping[str, CutOff | None], most: float, sees: str) -> Measure:
+def _worst(code: str, found: Mapping[str, CutOff | None], sees: str) -> Measure:
     """The camera with the largest share; its remedy names the place in every camera that has too much."""
+    most = warns_at(code) / 100
     shares = {name: one.share for name, one in found.items() if one is not None}
     name = max(shares, key=lambda n: shares[n], default="none")
     where = "; ".join(

@@ -74,6 +74,13 @@ def entries() -> dict[str, Entry]:
     return {code: Entry(**entry) for code, entry in yaml.safe_load(TABLE.read_text(encoding="utf-8")).items()}
 
 
+def warns_at(code: str) -> float:
+    """The bound from which on a code warns; of codes whose bound stands in the table only."""
+    bounds = entries()[code].high or entries()[code].low
+    assert bounds is not None and bounds[0] is not None
+    return bounds[0]
+
+
 def judge(measures: Iterable[Measure]) -> list[HealthRow]:
     """A row for each measure; what could not be measured is a warning.
 

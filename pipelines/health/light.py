@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from devrf.calibration.flicker import EXPOSURE_STOPS, LightFound, judge_light
-from devrf.capture.frames import FrameSet, places
+from devrf.capture.frames import FrameSet, some
 from devrf.capture.light import CLIPPED_SHARE, LightCourse
 from devrf.capture.measure import Measure, noted
 from devrf.capture.raw_set import read_raw_sidecar
@@ -104,7 +104,7 @@ def raw_measures(name: str, sidecar: dict[str, Any]) -> Iterator[Measure]:
     recipe, files = sidecar["recipe"], sidecar["files"]
 
     def of(found: list[dict[str, Any]], text: str) -> str:
-        return f"{len(found)} of {len(files)} files {text}: {places([f['source'] for f in found])}"
+        return f"{len(found)} of {len(files)} files {text}: {some([f['source'] for f in found])}"
 
     shot = [f for f in files if f["as_shot"] is not None]
     usual = np.median([f["as_shot"] for f in shot], axis=0) if shot else np.ones(3)
@@ -163,7 +163,7 @@ def exposure_measures(name: str, stops: Mapping[str, float | None]) -> list[Meas
         return []
     span = max(known.values()) - min(known.values())
     text = (
-        f"{len(off)} of {len(known)} photos are exposed unlike most, up to {span:.1f} EV apart: {places(off)}"
+        f"{len(off)} of {len(known)} photos are exposed unlike most, up to {span:.1f} EV apart: {some(off)}"
     )
     return [Measure("light-changes", text, name, "photos")]
 

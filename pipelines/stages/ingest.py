@@ -9,7 +9,7 @@ import numpy as np
 from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.audio import Sound
 from devrf.capture.errors import CaptureError
-from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, places, sharp
+from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp, some
 from devrf.capture.ingest import write_frames, write_sounds
 from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.session import CaptureSession
@@ -126,7 +126,7 @@ def _sweep(sweep: CameraFrames) -> Iterator[Measure]:
         "source": sweep.source,
         "blurred": len(blurred),
         "count": len(is_sharp),
-        "places": places(blurred),
+        "places": some(blurred),
     }
     yield Measure("sweep-few-pictures", len(sweep.used))
     yield Measure("sweep-blurred", float(is_sharp.mean()), facts=facts)

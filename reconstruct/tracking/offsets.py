@@ -171,7 +171,7 @@ def offsets_to_follow(times_followed: Sequence[Mapping[int, Offsets]], gap: floa
             `offsets_of` takes it. Tracks hide a share of what is left of an offset; two times tell which.
         gap: Between moments, in the scene's time.
     """
-    *before, last = (_Told(_used(seen), *offsets_of(seen, gap)) for seen in times_followed)
+    *before, last = (_Told(_used(seen), *offsets_of(seen, gap)) for seen in times_followed[-2:])
     share = _share_shown(before[-1], last) if before else 1.0
     hidden = (last.offsets - last.used) * (1 / share - 1)
     offsets, std = last.offsets + hidden - np.median(hidden), last.std / share
