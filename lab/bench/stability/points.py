@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from devrf.lab.bench.stability.case import Complaint, Result
+from devrf.pipelines.health.judge import warns_at
 
 WORSE = {"warn": 1, "fail": 2}
-LEAST_GAIN_DB = 1.0  # as for the health of `evaluate`: motion that gains less is not worth its name
+LEAST_GAIN_DB = warns_at("views-gain")  # motion that gains less is not worth its name
 
 
 @dataclass(frozen=True)
