@@ -78,7 +78,7 @@ def warns_at(code: str) -> float:
     """The bound from which on a code warns; of codes whose bound stands in the table only."""
     bounds = entries()[code].high or entries()[code].low
     assert bounds is not None and bounds[0] is not None
-    return bounds[0]
+    return float(bounds[0])
 
 
 def judge(measures: Iterable[Measure]) -> list[HealthRow]:
