@@ -21,12 +21,13 @@ from devrf.reconstruct.flat_adam import FlatAdam
 from devrf.reconstruct.grids import GridTrainer
 from devrf.reconstruct.guard import Guard, diverged
 from devrf.reconstruct.left_out import LeftOut
-from devrf.reconstruct.left_out_errors import Errors, gain_text
+from devrf.reconstruct.left_out_errors import Errors
 from devrf.reconstruct.losses import entropy_loss, rendering_loss
 from devrf.reconstruct.model import DynamicModel, live_distance, render_moved
 from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.paired import gain_text
 from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import RayBatch, RaySet
 from devrf.reconstruct.render import plain_of, render_rest

@@ -80,13 +80,6 @@ class Errors:
         return gain_within_clips(with_it, without, cameras, other.time[theirs].tolist())
 
 
-def gain_text(gain: Gain) -> str:
-    """A gain with what chance leaves open."""
-    if gain.half is None:
-        return f"{gain.mean:+.2f} dB, of too few moments to tell it from chance"
-    return f"{gain.mean:+.2f} ± {gain.half:.2f} dB"
-
-
 def errors_in_motion(pictures: MovingPictures, model: DynamicModel) -> Errors:
     """Errors of a model of motion that was trained on these pictures, pixels left out."""
     rays = pictures.rays

@@ -106,6 +106,13 @@ def gain_within_clips(
     return Gain(mean, half, tuple(stretches))
 
 
+def gain_text(gain: Gain, unit: str = "dB") -> str:
+    """A gain with what chance leaves open."""
+    if gain.half is None:
+        return f"{gain.mean:+.2f} {unit}, of too few moments to tell it from chance"
+    return f"{gain.mean:+.2f} ± {gain.half:.2f} {unit}"
+
+
 def half_of_interval(by_pair: Sequence[float], confidence: float) -> float | None:
     """Half of Student's interval of the mean; None for a single value."""
     n = len(by_pair)

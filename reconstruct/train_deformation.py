@@ -5,9 +5,8 @@ which are trained together with what stands; else, and where that explains too l
 (`train_motion.py`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,16 +18,18 @@ from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.fine_tune import fine_tune
-from devrf.reconstruct.left_out_errors import Errors, errors_in_motion, gain_text
+from devrf.reconstruct.left_out_errors import Errors, errors_in_motion
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.moving_pictures import MovingPictures
 from devrf.reconstruct.options import MotionOptions
+from devrf.reconstruct.paired import gain_text
 from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision
 from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
+from devrf.reconstruct.tracking.follow import BY_PARTS
 from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.train_movers import Trained, train_movers, untrained_errors
+from devrf.reconstruct.train_movers import train_movers, untrained_errors
 from devrf.reconstruct.training_log import TrainingLog
 from devrf.reconstruct.watch import Watch
 
@@ -37,7 +38,6 @@ TRACKING = 0.5  # share of the progress bar
 # Of movers over a scene in which nothing moves, on pixels left out of training: with less, a field is trained, too. It
 # says whether a second training is worth its time, not which of both is taken.
 DOUBTED_DB = 3.0
-BY_NODES, BY_PARTS = "by nodes", "by rigid parts"
 RIGID, SOFT = "rigid", "soft"
 TRACKED = "on pixels that tracking has read"
 LEFT_OUT = "on pixels left out of training (tracking and flow have read them)"
@@ -123,50 +123,33 @@ def _movers(
     log = TrainingLog("cpu", 1)
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # it can be tracked
-    followed: list[Decision] = []
-    pictures = cache(lambda: MovingPictures(boxed, rest, device))
-
-    def better(*two: Found | None) -> bool:
-        by_nodes, by_parts = (
-            None
-            if one is None
-            else untrained_errors(boxed, rest, one.stands, [one.movers], options, pictures())[0]
-            for one in two
-        )
-        followed.append(_followed(by_nodes, by_parts))
-        return followed[-1].chosen == BY_PARTS
-
-    every = find_movers(
-        boxed,
-        rest,
-        estimator(),
-        lambda f, m: progress(TRACKING * f, m),
-        checkpoint.part("tracks"),
-        log,
-        better,
+    found, decisions = find_movers(
+        boxed, rest, estimator(), lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks"), log
     )
-    if not every:
+    if found is None:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
-    if not (followed and followed[-1].chosen == BY_PARTS):  # else no part stretches in its tracks
-        every, softness = _softened(boxed, rest, every, options, pictures())
-        followed.append(softness)
+    pictures = MovingPictures(boxed, rest, device)
+    if not any(decision.chosen == BY_PARTS for decision in decisions):  # else no part stretches in its tracks
+        found, softness = _softened(boxed, rest, found, options, pictures)
+        decisions.append(softness)
     tracking_s = log.seconds
     try:
-        found, trained, decisions = _better(
+        trained = train_movers(
             boxed,
             rest,
-            every,
+            found.stands,
+            found.movers,
             options,
             device,
             lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
-            checkpoint,
-            pictures(),
+            checkpoint.part("movers"),
+            found.offsets_s,
+            pictures,
         )
     except ReconstructError as error:
         if error.code != DIVERGED:
             raise
-        return Decision("movers", "none", f"{every[0].movers.parts} parts", str(error))
-    decisions = [*decisions, *map(str, followed)]
+        return Decision("movers", "none", f"{found.movers.parts} parts", str(error))
     parts = found.movers.parts
     keys = min(len(found.tracks.times), options.keys or options.most_keys)
     model = DynamicModel.of_movers(rest, trained.stands, trained.movers, keys, boxed.rest_time)
@@ -184,84 +167,24 @@ def _movers(
         "movers_unshaded_gain_db": round(trained.unshaded_errors.gain_db(trained.errors_at_rest), 3),
         "tracking_s": round(tracking_s, 1),
         "clock_offsets_s": found.offsets_s,
-        "decisions": decisions,
+        "decisions": [*map(str, decisions)],
         "flow_contradicted": {},
     }
     metrics["seconds"] += tracking_s
     return _Tracked(model, metrics, trained.unshaded_errors)
 
 
-def _followed(by_nodes: Errors | None, by_parts: Errors | None) -> Decision:
-    """How points that were followed twice were, by errors of movers before training; None: too few points move.
-
-    The tracks by nodes are kept where those by parts are not better by more than chance.
-    """
-    two = (BY_PARTS, BY_NODES)
-    if by_nodes is None or by_parts is None:
-        chosen, other = two if by_nodes is None and by_parts is not None else two[::-1]
-        return Decision("tracks", chosen, other, f"{other} too few points of the surface move")
-    gain = by_parts.gain_over(by_nodes)
-    chosen, other = two if gain.side() > 0 else two[::-1]
-    return Decision("tracks", chosen, other, f"{TRACKED} {BY_PARTS} gains {gain_text(gain)} before training")
-
-
 def _softened(
-    boxed: Scene, rest: RestModel, every: Sequence[Found], options: MotionOptions, pictures: MovingPictures
-) -> tuple[list[Found], Decision]:
+    boxed: Scene, rest: RestModel, found: Found, options: MotionOptions, pictures: MovingPictures
+) -> tuple[Found, Decision]:
     """What was found, with parts that may stretch where that explains more before training, by more than chance."""
-    soft = [found.softened() for found in every]
-    motions = [every[0].movers, soft[0].movers]
-    by_rigid, by_soft = untrained_errors(boxed, rest, every[0].stands, motions, options, pictures)
+    soft = found.softened()
+    motions = [found.movers, soft.movers]
+    by_rigid, by_soft = untrained_errors(boxed, rest, found.stands, motions, options, pictures)
     gain = by_soft.gain_over(by_rigid)
     reason = f"{TRACKED} soft ones gain {gain_text(gain)} before training"
     chosen, other = (SOFT, RIGID) if gain.side() > 0 else (RIGID, SOFT)
-    return (soft if chosen == SOFT else list(every)), Decision("parts", chosen, other, reason)
-
-
-def _better(
-    boxed: Scene,
-    rest: RestModel,
-    every: Sequence[Found],
-    options: MotionOptions,
-    device: str,
-    progress: Progress,
-    checkpoint: Checkpoint,
-    pictures: MovingPictures,
-) -> tuple[Found, Trained, list[str]]:
-    """What was found, trained; with clocks moved where that explains more, by more than chance, and why."""
-
-    def train(n: int) -> Trained:
-        found, part = every[n], checkpoint.part(f"movers{n}")
-        return train_movers(
-            boxed,
-            rest,
-            found.stands,
-            found.movers,
-            options,
-            device,
-            progress,
-            part,
-            found.offsets_s,
-            pictures,
-        )
-
-    found, trained = every[0], train(0)
-    if len(every) == 1:
-        return found, trained, []
-    moved = ", ".join(f"{name} {1e3 * s:+.0f} ms" for name, s in every[1].offsets_s.items())
-    try:
-        again = train(1)
-    except ReconstructError as error:
-        if error.code != DIVERGED:
-            raise
-        return found, trained, [str(Decision("clocks", "as they are", moved, str(error)))]
-    gain = again.errors.gain_over(trained.errors)
-    reason = f"{LEFT_OUT} moved ones gain {gain_text(gain)}"
-    if gain.side() <= 0:
-        trained = replace(trained, metrics=_with_cost_of(trained.metrics, again.metrics))
-        return found, trained, [str(Decision("clocks", "as they are", moved, reason))]
-    again = replace(again, metrics=_with_cost_of(again.metrics, trained.metrics))
-    return every[1], again, [str(Decision("clocks", moved, "as they are", reason))]
+    return (soft if chosen == SOFT else found), Decision("parts", chosen, other, reason)
 
 
 def _field(

@@ -1,6 +1,6 @@
 """From a scene at rest and its fixed cameras to rigid parts, their motion, and the voxels that are theirs."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from devrf.reconstruct.model import DynamicModel, render_layers
 from devrf.reconstruct.movers import Movers
 from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.sizing import Decision
 from devrf.reconstruct.still_picture import FEWEST_PICTURES, plate, standing_clips
 from devrf.reconstruct.tracking.film import Film, films
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
@@ -126,11 +127,8 @@ def find_movers(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
-    better: Callable[[Found | None, Found | None], bool] | None = None,
-) -> list[Found]:
-    """Rigid parts and their motion; nothing where too little moves.
-
-    Where a camera's clock seems to be wrong, both: with all clocks as they are, and with other ones.
+) -> tuple[Found | None, list[Decision]]:
+    """Rigid parts and their motion, None where too little moves; and what was decided.
 
     Args:
         scene: In the box frame; `why_not_tracked` has nothing against it.
@@ -139,8 +137,6 @@ def find_movers(
         progress: Told how far it is.
         checkpoint: Where the state of tracking is kept, and taken up from.
         log: Counts the seconds, those before it was killed too.
-        better: Where points were followed twice, whether what was found by rigid parts is better than what was by
-            nodes. None: nothing is followed twice.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
@@ -149,10 +145,10 @@ def find_movers(
     surface, hidden = at_rest(scene, rest)
     progress(0.1, f"{len(surface)} points at rest")
     if len(surface) < FEWEST_POINTS:
-        return []
+        return None, []
     moves = moving_points(surface, clips, scene.rest_time)
     if moves.sum() < FEWEST_POINTS:
-        return []
+        return None, []
     progress(0.2, f"{int(moves.sum())} of {len(surface)} points move")
     region = _region(rest.canonical, surface, moves)
     stands = rest.canonical.only(~region)
@@ -160,15 +156,12 @@ def find_movers(
     moving = surface.only(moves)
     graph, voxel = Graph(moving), rest.canonical.voxel
 
-    def found(tracks: Tracks) -> Found | None:
-        return parts_of(scene, rest, surface, hidden, moves, graph, tracks)
-
     def in_parts(tracks: Tracks) -> Graph | None:
-        if better is None or tracks.lost.mean() < MUCH_LOST:
+        if tracks.lost.mean() < MUCH_LOST:
             return None
         return graph.in_parts(_labels(moving, graph, tracks, voxel))
 
-    every = follow_both_ways(
+    tracks, decisions = follow_both_ways(
         moving,
         graph,
         clips,
@@ -177,9 +170,8 @@ def find_movers(
         checkpoint,
         log,
         in_parts,
-        lambda by_nodes, by_parts: better is not None and better(found(by_nodes), found(by_parts)),
     )
-    return [one for one in map(found, every) if one is not None]
+    return parts_of(scene, rest, surface, hidden, moves, graph, tracks), decisions
 
 
 def at_rest(scene: Scene, rest: RestModel) -> tuple[Surface, Bool[Tensor, "X Y Z"]]:

@@ -1,18 +1,23 @@
 """Follow surface points through time, away from the moment of rest, to the end and to the beginning of the films.
 
-They are followed by the nodes of a graph, and again where that tells more: by the rigid parts that are known then, or
-by nodes with other clocks.
+They are followed by the nodes of a graph; again with other clocks where points seem to show that a camera's is wrong;
+and by the rigid parts that are known then, where much is lost. Each time cameras that are left out in turn tell which
+tracks are better (`cross_validation.py`).
 """
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from devrf.capture.cores import usable_cores
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
+from devrf.reconstruct.paired import gain_text
+from devrf.reconstruct.sizing import Decision
+from devrf.reconstruct.tracking.cross_validation import CrossValidation
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.graph import Graph
@@ -21,6 +26,8 @@ from devrf.reconstruct.tracking.runs import Runs
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.training_log import TrainingLog
 
+BY_NODES, BY_PARTS = "by nodes", "by rigid parts"
+LEFT_OUT = "in cameras left out of tracking in turn"
 MOST_AGAIN = 2  # times that everything is followed with other clocks
 SETTLED = 0.05  # of the time between moments: offsets that change by less are known
 # Of a long clip not every picture is looked at. What is thrown leaves the straight way between moments by a centimetre
@@ -49,6 +56,20 @@ class Tracks:
         return replace(self, xyz=self.xyz[:, kept], lost=self.lost[:, kept])
 
 
+class _Following(NamedTuple):
+    """Everything followed once.
+
+    Attributes:
+        tracks: Where points were found.
+        seen: What that says of the offsets, by the sign of time.
+        left_out: How well the tracks agree with pictures left out.
+    """
+
+    tracks: Tracks
+    seen: dict[int, Offsets]
+    left_out: CrossValidation
+
+
 def follow_both_ways(
     surface: Surface,
     graph: Graph,
@@ -58,13 +79,11 @@ def follow_both_ways(
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
     in_parts: Callable[[Tracks], Graph | None] = lambda tracks: None,
-    better: Callable[[Tracks, Tracks], bool] = lambda before, after: True,
-) -> list[Tracks]:
+) -> tuple[Tracks, list[Decision]]:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
-    Where rigid parts are known by that, and it is worth it, they are followed again by these. Where points seem to show
-    that a camera's clock is wrong, again by nodes, with other clocks. Then there are both: errors of other kinds may
-    look alike, and trained models tell.
+    Where they were followed more than once, the last tracks that agree more with pictures left out than those before,
+    by more than chance, and what was decided.
 
     Args:
         surface: Points that move, at rest.
@@ -75,7 +94,6 @@ def follow_both_ways(
         checkpoint: Where to keep the state between two moments, and to take it up from.
         log: Counts the seconds, those before it was killed too.
         in_parts: The graph in rigid parts, by tracks; None: not worth it.
-        better: Whether the second of two tracks, which is by parts, explains pictures better.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
@@ -83,32 +101,44 @@ def follow_both_ways(
     gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
     runs = Runs(checkpoint, len(surface), log or TrainingLog("cpu", 1))
 
-    def followed(
-        graph: Graph, offsets: Float[np.ndarray, " c"], name: str
-    ) -> tuple[Tracks, dict[int, Offsets]]:
+    def followed(graph: Graph, offsets: Float[np.ndarray, " c"], name: str) -> _Following:
         return _both_ways(surface, graph, films, times, before, offsets, progress, runs, name)
 
-    as_said = np.zeros(len(films))
-    tracks, seen = followed(graph, as_said, "by nodes")
-    parts = in_parts(tracks)
-    if parts is not None:
-        by_parts = followed(parts, as_said, "by parts")
-        if better(tracks, by_parts[0]):
-            tracks, seen = by_parts
-    every_seen = [seen]
-    offsets = offsets_to_follow(every_seen, gap)
-    if not offsets.any():
-        runs.write()
-        return [tracks]
-    again = tracks
-    for n in range(MOST_AGAIN):  # by nodes: parts that were found with wrong clocks are wrong ones
-        again, seen = followed(graph, offsets, f"{n + 1} times again")
-        every_seen.append(seen)
-        offsets = offsets_to_follow(every_seen, gap)
-        if not offsets.any() or np.abs(offsets - again.offsets).max() < SETTLED * gap:
+    best, decisions = followed(graph, np.zeros(len(films)), BY_NODES), list[Decision]()
+    every = [best]
+    while len(every) <= MOST_AGAIN:
+        offsets = offsets_to_follow([one.seen for one in every], gap)
+        if np.abs(offsets - every[-1].tracks.offsets).max() < SETTLED * gap or not offsets.any():
             break
+        every.append(followed(graph, offsets, f"{len(every)} times again"))
+    if len(every) > 1:
+        moved = _moved(films, every[-1].tracks.offsets)
+        best = _better("clocks", "as they are", best, moved, every[-1], decisions)
+    parts = in_parts(best.tracks)
+    if parts is not None:
+        by_parts = followed(parts, best.tracks.offsets, BY_PARTS)
+        best = _better("tracks", BY_NODES, best, BY_PARTS, by_parts, decisions)
     runs.write()
-    return [tracks, again] if offsets.any() else [tracks]
+    return best.tracks, decisions
+
+
+def _better(
+    what: str, name: str, one: _Following, other_name: str, other: _Following, decisions: list[Decision]
+) -> _Following:
+    """The other one where it agrees more with pictures left out, by more than chance, else the one; and why."""
+    gain = other.left_out.gain_over(one.left_out)
+    reason = f"{LEFT_OUT} {other_name} gains {gain_text(gain, 'likeness')}"
+    chosen, offered = (other_name, name) if gain.side() > 0 else (name, other_name)
+    decisions.append(Decision(what, chosen, offered, reason))
+    return other if gain.side() > 0 else one
+
+
+def _moved(films: Sequence[Film], offsets: Float[np.ndarray, " c"]) -> str:
+    """Which cameras' clocks are moved, and by how much."""
+    second = _second(films)
+    unit, each = ("", offsets) if np.isinf(second) else (" ms", 1e3 * offsets / second)
+    names = (film.frames[0].camera_name for film in films)
+    return ", ".join(f"{name} {late:+.3g}{unit}" for name, late in zip(names, each, strict=True) if late)
 
 
 def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, " t"], int]:
@@ -145,11 +175,8 @@ def _both_ways(
     progress: Callable[[float], object],
     runs: Runs,
     name: str,
-) -> tuple[Tracks, dict[int, Offsets]]:
-    """From one of the times to the last and to the first, and what that says of the offsets, by the sign of time.
-
-    The two runs have a common name.
-    """
+) -> _Following:
+    """From one of the times to the last and to the first; the two runs have a common name."""
     done = 0
 
     def tell() -> None:
@@ -161,8 +188,11 @@ def _both_ways(
     there = _follow(surface, graph, films, times[middle:], seen[1], tell, runs, f"{name}, forward")
     back = [film.backwards() for film in films]
     here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell, runs, f"{name}, back")
-    xyz, lost = (np.concatenate([a[:0:-1], b]) for a, b in zip(here, there, strict=True))
-    return Tracks(times, xyz, lost, offsets), seen
+    xyz = np.concatenate(
+        [np.stack([x.astype(np.float32) for x in one]) for one in (here.xyz[:0:-1], there.xyz) if one]
+    )
+    lost = np.concatenate([here.lost[:0:-1], there.lost])
+    return _Following(Tracks(times, xyz, lost, offsets), seen, here.left_out.with_those_of(there.left_out))
 
 
 def _follow(
@@ -174,7 +204,7 @@ def _follow(
     tell: Callable[[], object],
     runs: Runs,
     run: str,
-) -> tuple[Float[np.ndarray, "t p 3"], Bool[np.ndarray, "t p"]]:
+) -> Follower:
     side_by_side = all(film.estimator.parallel for film in films)
     with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
         follower = Follower(surface, graph, films, times, offsets, pool)
@@ -186,4 +216,4 @@ def _follow(
                 follower.go_on(moment)
                 runs.moved_on(run, len(times) - 1 - moment, follower.state)
             tell()
-    return np.stack([xyz.astype(np.float32) for xyz in follower.xyz]), np.stack(follower.lost)
+    return follower

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from devrf.reconstruct.tracking.cross_validation import CrossValidation
 from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.graph import Graph, Pose, pieces
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets
@@ -58,7 +59,7 @@ class Follower:
         pool: ThreadPoolExecutor,
     ) -> None:
         self.surface, self.graph, self.times = surface, graph, times
-        self.offsets, self.pool = offsets, pool
+        self.offsets, self.pool, self.left_out = offsets, pool, CrossValidation()
         self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
         self.poses = [Pose.rest(len(graph.nodes))]
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
@@ -85,6 +86,7 @@ class Follower:
             likeness = self.likeness(shots, found)
             self.lost_nodes = self._lost(likeness)
             self._time(shots, found)
+            self._leave_out(shots, found, expected)
             found = self._found_again(shots, found, expected, likeness, moment)
         self._come_to(found, self.lost_nodes)
         was, now = self.xyz[-2:]
@@ -113,7 +115,7 @@ class Follower:
         }
         for camera, known in enumerate(self.templates):
             out |= {f"picture {camera}": known.picture, f"at {camera}": known.at}
-        return out | self.offsets.state()
+        return out | self.offsets.state() | self.left_out.state()
 
     def take_up(self, state: Arrays) -> None:
         """Go on from a `state`, right after the beginning."""
@@ -124,6 +126,7 @@ class Follower:
         for camera, known in enumerate(self.templates):
             known.picture, known.at = state[f"picture {camera}"].copy(), state[f"at {camera}"].copy()
         self.offsets.take_up(state)
+        self.left_out.take_up(state)
 
     def shots(self, moment: int) -> list[Shot]:
         """The pictures around a moment."""
@@ -208,6 +211,23 @@ class Follower:
         was, known = self.xyz[-1], ~self._points(self.lost_nodes)
         way = self.graph.points(found) - was
         self.offsets.add({s.camera: s.shown(was + s.share * way, known) for s in shots}, way, self.gap)
+
+    def _leave_out(self, shots: Sequence[Shot], found: Pose, expected: Pose) -> None:
+        """Hold each picture against points where the others alone want them: one more step, without what it pulls."""
+        now, xyz, believed = self.xyz[-1], self.graph.points(found), self._believed()
+        pulls = [Sum(len(self.surface)) for _ in shots]
+        for shot, own in zip(shots, pulls, strict=True):
+            shot.pull(now + shot.share * (xyz - now), own)
+        for shot, own in zip(shots, pulls, strict=True):
+            others = Sum(len(self.surface))
+            for other in pulls:
+                if other is not own:
+                    others.join(other)
+            seen = np.asarray(others.hessian.any((1, 2)))
+            placed = self.graph.points(step(self.graph, found, expected, others.of(believed)))
+            points, likeness = shot.likeness(now + shot.share * (placed - now))
+            number, time = shot.film.frames[shot.n].index, abs(float(shot.film.times[shot.n]))
+            self.left_out.add(shot.camera, number, time, likeness[seen[points]])
 
     def _found_again(
         self,

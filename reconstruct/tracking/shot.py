@@ -37,6 +37,11 @@ class Sum:
         self.hessian[points] += np.einsum("mra,mrb->mab", jacobian, weighted)
         self.gradient[points] += np.einsum("mra,mr->ma", weighted, residual)
 
+    def join(self, other: "Sum") -> None:
+        """Add all of another's."""
+        self.hessian += other.hessian
+        self.gradient += other.gradient
+
     def of(self, points: Bool[np.ndarray, " p"] | None = None) -> Pulls:
         """What some of the points want; None: all of them."""
         if points is None:

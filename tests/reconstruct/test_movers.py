@@ -1,7 +1,7 @@
 """What stands and what moves: rendered, trained, saved, and asked where points are."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from devrf.reconstruct.options import PRESETS, MotionOptions
 from devrf.reconstruct.rays import camera_rays
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.shading import Shading
+from devrf.reconstruct.sizing import Decision
 from devrf.reconstruct.still_picture import standing_clips
 from devrf.reconstruct.tracking.find import Found, find_movers, parts_of, why_not_tracked
 from devrf.reconstruct.tracking.follow import Tracks
@@ -457,10 +458,7 @@ def test_killed_it_goes_on_bit_for_bit(
 
 @pytest.fixture
 def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
-    """What `find_movers` finds is decided by the test: the whole ball, and how far it goes until time 1.
-
-    With another way, also that a clock may be wrong.
-    """
+    """What `find_movers` finds is decided by the test: the whole ball, how far it goes until time 1, and why."""
 
     def found(travel: np.ndarray, offsets_s: dict[str, float]) -> Found:
         model = whole(rest, travel)
@@ -472,12 +470,15 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
         stands = model.in_motion.canonical
         return Found(surface, tracks, np.zeros(3, int), stands, model.movers, offsets_s)
 
-    def decide(travel: np.ndarray, at_other_times: np.ndarray | None = None) -> list[Found]:
-        every = [found(travel, {})]
-        every += [] if at_other_times is None else [found(at_other_times, {"cam1": 0.02})]
+    def decide(
+        travel: np.ndarray, offsets_s: dict[str, float] | None = None, decisions: Sequence[Decision] = ()
+    ) -> Found:
+        one = found(travel, offsets_s or {})
         monkeypatch.setattr("devrf.reconstruct.train_deformation.why_not_tracked", lambda scene, rest: None)
-        monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: every)
-        return every
+        monkeypatch.setattr(
+            "devrf.reconstruct.train_deformation.find_movers", lambda *arguments: (one, [*decisions])
+        )
+        return one
 
     return decide
 
@@ -543,21 +544,19 @@ def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, r
     assert told["longest_lost"] == 3
 
 
-def test_points_are_followed_by_parts_where_much_is_lost_and_pixels_say_so(
+def test_points_are_followed_by_parts_where_much_is_lost(
     session: Scene, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     surface, tracks, _ = half_covered()
     scene = session.in_box_frame()
     tracks = replace(tracks, offsets=np.zeros(len(standing_clips(scene))))
     little = replace(tracks, lost=tracks.lost & (np.arange(300) < 30))
-    nowhere = replace(tracks, xyz=np.broadcast_to(surface.xyz, tracks.xyz.shape))
 
-    def follow(surface: Surface, graph: Graph, *arguments: Any) -> list[Tracks]:
-        in_parts, better = arguments[-2:]
+    def follow(surface: Surface, graph: Graph, *arguments: Any) -> tuple[Tracks, list[Decision]]:
+        in_parts = arguments[-1]
         assert 0 < little.lost.mean() < 0.05 and in_parts(little) is None
         assert not in_parts(tracks).parts.any() and len(graph.nodes) > 1
-        assert better(tracks, nowhere)
-        return [tracks]
+        return tracks, []
 
     hidden = torch.zeros(rest.canonical.shape, dtype=torch.bool)
     name = "devrf.reconstruct.tracking.find."
@@ -565,17 +564,14 @@ def test_points_are_followed_by_parts_where_much_is_lost_and_pixels_say_so(
     monkeypatch.setattr(name + "moving_points", lambda *_: np.ones(300, dtype=bool))
     monkeypatch.setattr(name + "_with_what_stands", lambda scene, film, stands: film)
     monkeypatch.setattr(name + "follow_both_ways", follow)
-    better = Mock(return_value=True)
-    (found,) = find_movers(scene, rest, DisFlow(), better=better)
-    by_nodes, by_parts = better.call_args.args
-    assert by_nodes.movers.parts == 1 and by_parts is None  # nothing goes anywhere
-    assert found.movers.parts == 1
+    found, decisions = find_movers(scene, rest, DisFlow())
+    assert found is not None and found.movers.parts == 1 and decisions == []
 
 
 def test_what_appears_in_empty_air_is_not_tracked(session: Scene, rest: RestModel) -> None:
     nothing = torch.zeros(rest.canonical.shape, dtype=torch.bool)
     empty = replace(rest, canonical=rest.canonical.only(nothing))
-    assert find_movers(session.in_box_frame(), empty, DisFlow()) == []
+    assert find_movers(session.in_box_frame(), empty, DisFlow()) == (None, [])
 
 
 def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: RestModel, tracked) -> None:
@@ -604,58 +600,37 @@ def errors(by_db: float, spread_db: float = 0.0) -> Errors:
     return Errors(tuple(("cam0", int(at)) for at in n), n / len(n), 10 ** (-db / 10), np.ones(len(n), int))
 
 
-@pytest.mark.parametrize(
-    ("by_nodes", "by_parts", "said"),
-    [
-        (errors(0), errors(3), "by rigid parts instead of by nodes"),
-        (errors(0), errors(0.05), "by rigid parts instead of by nodes"),
-        (errors(0), errors(0.4, 1.0), "by nodes instead of by rigid parts"),  # may be chance
-        (errors(0), errors(-0.4), "by nodes instead of by rigid parts"),
-        (errors(0), None, "by nodes instead of by rigid parts (by rigid parts too few points"),
-        (None, errors(0), "by rigid parts instead of by nodes (by nodes too few points"),
-    ],
-)
-def test_tracks_by_parts_are_taken_where_they_explain_more_than_chance(
-    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, by_nodes, by_parts, said: str
+def test_by_rigid_parts_nothing_stretches_and_clocks_are_those_of_tracking(
+    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    every = tracked(TRAVEL)
-    asked = [[one] for one in (by_nodes, by_parts) if one is not None] + [[errors(0), errors(0)]]
-
-    def find(*arguments: Any) -> list[Found]:
-        taken = arguments[-1](*(None if one is None else every[0] for one in (by_nodes, by_parts)))
-        assert taken == said.startswith("by rigid parts")
-        return every
-
-    module = "devrf.reconstruct.train_deformation."
-    monkeypatch.setattr(module + "find_movers", find)
-    monkeypatch.setattr(module + "untrained_errors", lambda *_: asked.pop(0))
-    options = replace(OPTIONS, together=1)
-    monkeypatch.setattr(module + "DOUBTED_DB", -np.inf)
-    decisions = train_deformation(session, rest, {}, options, estimator=DisFlow)[1]["decisions"]
-    assert decisions[0].startswith(f"tracks: {said}")
-    assert "±" in decisions[0] or "too few points" in decisions[0]
-    # By rigid parts nothing stretches, and nobody asks.
-    assert [line.split(":")[0] for line in decisions[1:]] == (
-        [] if "tracks: by rigid" in decisions[0] else ["parts"]
-    )
+    by_parts = Decision("tracks", "by rigid parts", "by nodes", "because")
+    tracked(TRAVEL, {"cam1": 0.02}, [by_parts])
+    monkeypatch.setattr("devrf.reconstruct.train_deformation.DOUBTED_DB", -np.inf)
+    _, metrics = train_deformation(session, rest, {}, replace(OPTIONS, together=1), estimator=DisFlow)
+    assert metrics["decisions"] == [str(by_parts)] and metrics["clock_offsets_s"] == {"cam1": 0.02}
 
 
 @pytest.mark.parametrize("stretch", [np.eye(3), STRETCH])
 def test_parts_are_soft_where_that_explains_more_than_chance(
-    ball: Ball, rest: RestModel, tracked, tmp_path: Path, stretch: np.ndarray
+    ball: Ball,
+    rest: RestModel,
+    tracked,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stretch: np.ndarray,
 ) -> None:
     """The tracks of points of the ball are good to a voxel."""
     rng, soft = np.random.default_rng(0), bool((stretch != np.eye(3)).any())
     xyz = rng.normal(size=(300, 3))
     xyz *= RADIUS / np.linalg.norm(xyz, axis=1, keepdims=True)
-    (found,) = tracked(TRAVEL)
+    found = tracked(TRAVEL)
     times = found.tracks.times[:, None, None]
     way = times * TRAVEL + xyz + times * (xyz @ stretch - xyz)
     way[1:] += rng.normal(0, 0.5 * rest.canonical.voxel, way[1:].shape)
-    every = tracked(TRAVEL)
     tracks = replace(found.tracks, xyz=way, lost=np.zeros(way.shape[:2], bool))
     surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
-    every[0] = replace(found, surface=surface, tracks=tracks, labels=np.zeros(len(xyz), int))
+    found = replace(found, surface=surface, tracks=tracks, labels=np.zeros(len(xyz), int))
+    monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: (found, []))
     session = ball_clips(ball, tmp_path, 2 * TIMES + 1, TRAVEL, stretch)
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None
@@ -668,7 +643,7 @@ def test_parts_are_soft_where_that_explains_more_than_chance(
 def test_what_moves_as_found_has_a_smaller_error_before_training(
     session: Scene, rest: RestModel, tracked
 ) -> None:
-    found, away = tracked(TRAVEL, -TRAVEL)
+    found, away = tracked(TRAVEL), tracked(-TRAVEL)
     motions, boxed = [found.movers, away.movers], session.in_box_frame()
     right, wrong = untrained_errors(
         boxed, rest, found.stands, motions, OPTIONS, MovingPictures(boxed, rest, "cpu")
@@ -676,40 +651,9 @@ def test_what_moves_as_found_has_a_smaller_error_before_training(
     assert 0 < right.mean < wrong.mean / 2 and right.gain_over(wrong).side() > 0
 
 
-@pytest.mark.parametrize("moved", [pytest.param(False, marks=pytest.mark.full), True])
-def test_clocks_are_moved_where_pixels_left_out_say_so(
-    session: Scene, rest: RestModel, tracked, moved: bool
-) -> None:
-    tracked(*((-TRAVEL, TRAVEL) if moved else (TRAVEL, -TRAVEL)))
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
-    assert model.movers is not None and metrics["movers_gain_db"] > 5
-    assert metrics["clock_offsets_s"] == ({"cam1": 0.02} if moved else {})
-    decision, softness = metrics["decisions"]
-    assert softness.startswith("parts: rigid instead of soft")
-    assert decision.startswith("clocks: cam1 +20 ms instead" if moved else "clocks: as they are instead")
-    assert metrics["iterations"] == 2 * OPTIONS.together
-
-
-@pytest.mark.parametrize(("again", "moved"), [(errors(0.1), True), (errors(0.5, 2.0), False)])
-def test_clocks_are_moved_for_more_than_chance_only(
-    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch, again: Errors, moved: bool
-) -> None:
-    tracked(TRAVEL, TRAVEL)
-    model, every = whole(rest, TRAVEL), iter((errors(0), again))
-
-    def train(*_: Any) -> Trained:
-        assert model.movers is not None and model.in_motion is not None
-        return Trained(model.in_motion, model.movers, next(every), errors(-1), errors(-8), COST)
-
-    monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", train)
-    _, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
-    assert metrics["clock_offsets_s"] == ({"cam1": 0.02} if moved else {})
-    assert metrics["iterations"] == 10 and "±" in metrics["decisions"][0]
-
-
 def test_pixels_left_out_are_the_same_with_other_clocks(session: Scene, rest: RestModel, tracked) -> None:
     """The last two pictures of cam1 are beyond the modelled time then."""
-    (found,) = tracked(TRAVEL)
+    found = tracked(TRAVEL)
     scene = replace(session.in_box_frame(), t0_s=0.0, t1_s=1.0)
     options, offset_s = replace(OPTIONS, together=1), 1.5 / (TIMES - 1)
     parts = found.stands, found.movers, options
@@ -854,23 +798,3 @@ def test_movers_whose_training_diverges_give_way_to_a_field(
     monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", runs_away)
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and "training diverged" in metrics["decisions"][0]
-
-
-@pytest.mark.full
-def test_clocks_stay_where_training_with_others_diverges(
-    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    trained: list[Trained] = []
-
-    def once(*arguments: Any) -> Trained:
-        if trained:
-            raise diverged("the loss")
-        trained.append(train_movers(*arguments))
-        return trained[0]
-
-    tracked(TRAVEL, TRAVEL)
-    monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", once)
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
-    assert model.movers is not None and metrics["clock_offsets_s"] == {}
-    decision = metrics["decisions"][0]
-    assert decision.startswith("clocks: as they are instead of cam1 +20 ms") and "diverged" in decision

@@ -19,8 +19,9 @@ from devrf.capture.errors import OutOfTime
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.tracking.cross_validation import CrossValidation
 from devrf.reconstruct.tracking.film import Film, fetched
-from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways, moments
+from devrf.reconstruct.tracking.follow import Tracks, _Following, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
 from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.likelihoods import MOMENTS, Likelihoods, likelihoods
@@ -128,7 +129,8 @@ def films(tmp_path_factory: pytest.TempPathFactory) -> list[Film]:
 @pytest.fixture(scope="module")
 def tracks(films: list[Film]) -> Tracks:
     surface, _ = on_cards()
-    (tracks,) = follow_both_ways(surface, Graph(surface), films, 0.5)  # the clocks are right
+    tracks, decisions = follow_both_ways(surface, Graph(surface), films, 0.5)  # the clocks are right
+    assert not decisions
     return tracks
 
 
@@ -208,8 +210,8 @@ def test_a_clock_that_is_wrong_by_more_than_a_picture_is_found(tmp_path: Path) -
     still, late = 3, 1.4 * GAP
     films = filmed(tmp_path, 0.5 + 0.8 * GAP * np.maximum(0, np.arange(14) - still))
     wrong = [replace(films[0], times=films[0].times - late), *films[1:]]
-    as_said, found = follow_both_ways(surface, Graph(surface), wrong, GAP)
-    assert not as_said.offsets.any()
+    found, (decision,) = follow_both_ways(surface, Graph(surface), wrong, GAP)
+    assert str(decision).startswith("clocks: left +") and "ms instead of as they are" in str(decision)
     assert found.offsets == pytest.approx([late, 0, 0], abs=0.3 * GAP)
     true = true_tracks(surface, card, 0.5 + 0.8 * np.maximum(0, found.times - still * GAP))
     off = np.linalg.norm(found.xyz - true, axis=-1)
@@ -502,7 +504,7 @@ def test_tracking_that_was_killed_goes_on_where_it_was(
     assert goes.call_count == moments
     log = TrainingLog("cpu", 1)
     log.began += 1000  # less than nothing so far: what counts is what was kept
-    (again,) = follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=checkpoint, log=log)
+    again, _ = follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=checkpoint, log=log)
     assert goes.call_count == PICTURES - 1 and 0 < log.seconds < 1000
     assert np.array_equal(again.xyz, tracks.xyz) and np.array_equal(again.lost, tracks.lost)
     follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=checkpoint)
@@ -513,70 +515,107 @@ def test_tracking_that_was_killed_goes_on_where_it_was(
     assert goes.call_count == PICTURES and over.path is not None and over.path.exists()
 
 
-@pytest.mark.parametrize("taken", [True, pytest.param(False, marks=pytest.mark.full)])
-def test_once_parts_are_known_everything_is_followed_again_by_them(films: list[Film], taken: bool) -> None:
+def test_once_parts_are_known_everything_is_followed_again_by_them(films: list[Film]) -> None:
     surface, card = on_cards()
     short = [replace(f, frames=f.frames[: REST + 1], times=f.times[: REST + 1]) for f in films]
-    graph, better = Graph(surface), Mock(return_value=taken)
-    (found,) = follow_both_ways(
-        surface, graph, short, 0.5, in_parts=lambda tracks: graph.in_parts(card), better=better
+    graph = Graph(surface)
+    found, (decision,) = follow_both_ways(
+        surface, graph, short, 0.5, in_parts=lambda tracks: graph.in_parts(card)
     )
-    before, after = better.call_args.args
-    assert found is (after if taken else before)
+    assert decision.what == "tracks" and "in cameras left out of tracking" in decision.reason
     wrong = np.linalg.norm(found.xyz - true_tracks(surface, card, found.times), axis=-1)
     assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02 and not found.lost.any()
-    for mine in (card == 0, card == 1):
-        rest, there = surface.xyz[mine], after.xyz[:, mine].astype(float)
-        assert residual(motion_of(rest, there), rest, there).max() < 1e-10
+    if decision.chosen == "by rigid parts":
+        for mine in (card == 0, card == 1):
+            rest, there = surface.xyz[mine], found.xyz[:, mine].astype(float)
+            assert residual(motion_of(rest, there), rest, there).max() < 1e-10
 
 
-def test_with_other_clocks_everything_is_followed_by_nodes(films: list[Film], monkeypatch) -> None:
-    """Parts that were found with wrong clocks are wrong ones."""
+@pytest.fixture
+def followed(films: list[Film], monkeypatch: pytest.MonkeyPatch):
+    """What following comes to is decided by the test: the likeness of pictures left out, by graph and offset."""
+
+    def decide(likeness: Callable[[Graph, float], float]) -> list[tuple[Graph, float]]:
+        by: list[tuple[Graph, float]] = []
+
+        def both_ways(surface, graph, films, times, middle, offsets, *others):
+            by.append((graph, offsets[0] / GAP))
+            left_out = CrossValidation()
+            for n in range(8):
+                left_out.add(0, n, n / 8, np.full(50, likeness(*by[-1]) + 0.001 * (n % 2)))
+            where = np.tile(surface.xyz, (len(times), 1, 1))
+            return _Following(
+                Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}, left_out
+            )
+
+        monkeypatch.setattr("devrf.reconstruct.tracking.follow._both_ways", both_ways)
+        return by
+
+    return decide
+
+
+@pytest.mark.parametrize("moved", [True, False])
+@pytest.mark.parametrize("by_parts", [True, False])
+def test_what_cameras_left_out_agree_with_is_taken(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch, followed, moved: bool, by_parts: bool
+) -> None:
+    """With other clocks by nodes: parts that were found with wrong clocks are wrong ones."""
     surface, card = on_cards()
-    graph, late, by = Graph(surface), np.array([0.5 * GAP, 0, 0]), []
-
-    def both_ways(surface, graph, films, times, middle, offsets, *others):
-        by.append((graph, offsets))
-        where = np.tile(surface.xyz, (len(times), 1, 1))
-        return Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}
-
-    monkeypatch.setattr("devrf.reconstruct.tracking.follow._both_ways", both_ways)
-    monkeypatch.setattr("devrf.reconstruct.tracking.follow.offsets_to_follow", lambda seen, gap: late)
+    graph = Graph(surface)
     parts = graph.in_parts(card)
-    found = follow_both_ways(surface, graph, films, 0.5, in_parts=lambda tracks: parts)
-    assert [one.offsets.tolist() for one in found] == [[0, 0, 0], late.tolist()]
-    assert [which for which, _ in by] == [graph, parts, graph]
-    assert [offsets.tolist() for _, offsets in by] == [[0, 0, 0], [0, 0, 0], late.tolist()]
+    by = followed(
+        lambda g, late: (0.1 if moved else -0.1) * (late > 0) + (0.2 if by_parts else 0) * (g is parts)
+    )
+    monkeypatch.setattr(
+        "devrf.reconstruct.tracking.follow.offsets_to_follow", lambda seen, gap: np.array([0.5 * GAP, 0, 0])
+    )
+    found, (clocks, tracks) = follow_both_ways(surface, graph, films, 0.5, in_parts=lambda tracks: parts)
+    late = 0.5 if moved else 0.0
+    assert found.offsets[0] == pytest.approx(late * GAP)
+    assert by == [(graph, 0.0), (graph, pytest.approx(0.5)), (parts, pytest.approx(late))]
+    assert str(clocks).startswith(f"clocks: {'left +' if moved else 'as they are instead of left +'}")
+    assert clocks.reason.startswith(f"in cameras left out of tracking in turn left {500 * GAP:+.3g} ms gains")
+    assert f"{0.1 if moved else -0.1:+.2f} ± 0.00 likeness" in clocks.reason
+    assert tracks.chosen == ("by rigid parts" if by_parts else "by nodes")  # as good is not better
 
 
 @pytest.mark.parametrize(
     ("told", "with_which"),
     [
-        ([0.5, 0.8, 0.9], [0.0, 0.8]),  # not settled: what was found last was followed by nothing
+        ([0.5, 0.8], [0.0, 0.5, 0.8]),  # not settled, but enough
         ([0.5, 0.51], [0.0, 0.5]),
-        ([0.5, 0.0], [0.0]),  # with other clocks they seem to be right
+        ([0.5, 0.0], [0.0, 0.5]),  # with other clocks they seem to be right
+        ([0.0], [0.0]),
     ],
 )
-def test_offsets_are_those_that_tracks_were_followed_with(
-    films: list[Film], monkeypatch: pytest.MonkeyPatch, told: list[float], with_which: list[float]
+def test_everything_is_followed_again_until_offsets_settle(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch, followed, told: list[float], with_which: list[float]
 ) -> None:
     surface, _ = on_cards()
-    said, followed = iter(told), []
-
-    def both_ways(surface, graph, films, times, middle, offsets, *others):
-        followed.append(offsets)
-        where = np.tile(surface.xyz, (len(times), 1, 1))
-        return Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}
-
-    monkeypatch.setattr("devrf.reconstruct.tracking.follow._both_ways", both_ways)
+    said, by = iter(told), followed(lambda graph, late: late)
     monkeypatch.setattr(
         "devrf.reconstruct.tracking.follow.offsets_to_follow",
         lambda seen, gap: GAP * np.array([next(said), 0, 0]),
     )
-    found = follow_both_ways(surface, Graph(surface), films, 0.5)
-    assert [one.offsets[0] / GAP for one in found] == pytest.approx(with_which)
-    assert all(any(one.offsets is offsets for offsets in followed) for one in found)
-    assert len(followed) == len(told)
+    found, _ = follow_both_ways(surface, Graph(surface), films, 0.5)
+    assert [late for _, late in by] == pytest.approx(with_which)
+    assert found.offsets[0] == pytest.approx(with_which[-1] * GAP)  # those that it was followed with
+
+
+def test_what_was_left_out_is_kept_and_compared() -> None:
+    """Two directions are put together; few points say nothing, and tracks without a picture in common as little."""
+    one, other = CrossValidation(), CrossValidation()
+    for n in range(16):
+        one.add(n % 2, n, n / 16, np.full(30, 0.5 + 0.01 * (n % 4)))
+        (other if n < 12 else CrossValidation()).add(n % 2, n, n / 16, np.full(30, 0.2))
+    one.add(0, 99, 0.5, np.ones(5))
+    assert (0, 99) not in one.likeness
+    assert other.gain_over(one).side() == -1 and one.gain_over(other).side() == 1
+    assert one.gain_over(other).mean == pytest.approx(0.315)
+    again, empty = CrossValidation(), CrossValidation()
+    again.take_up(one.state())
+    assert again.likeness == one.likeness and again.times == one.times
+    assert empty.gain_over(one).side() == 0 and empty.with_those_of(one).likeness == one.likeness
 
 
 @pytest.mark.full
@@ -586,7 +625,7 @@ def test_tracking_by_parts_that_was_killed_goes_on_where_it_was(films: list[Film
     graph = Graph(surface)
 
     def follow(progress: Callable[[float], object], checkpoint: Checkpoint) -> Tracks:
-        (found,) = follow_both_ways(
+        found, _ = follow_both_ways(
             surface, graph, short, 0.5, progress, checkpoint, in_parts=lambda tracks: graph.in_parts(card)
         )
         return found
