@@ -27,7 +27,6 @@ from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.sizing import Decision
 from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
-from devrf.reconstruct.tracking.follow import BY_PARTS
 from devrf.reconstruct.train_motion import train_motion
 from devrf.reconstruct.train_movers import train_movers, untrained_errors
 from devrf.reconstruct.training_log import TrainingLog
@@ -129,9 +128,7 @@ def _movers(
     if found is None:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
     pictures = MovingPictures(boxed, rest, device)
-    if not any(decision.chosen == BY_PARTS for decision in decisions):  # else no part stretches in its tracks
-        found, softness = _softened(boxed, rest, found, options, pictures)
-        decisions.append(softness)
+    found, softness = _softened(boxed, rest, found, options, pictures)
     tracking_s = log.seconds
     try:
         trained = train_movers(
@@ -167,7 +164,7 @@ def _movers(
         "movers_unshaded_gain_db": round(trained.unshaded_errors.gain_db(trained.errors_at_rest), 3),
         "tracking_s": round(tracking_s, 1),
         "clock_offsets_s": found.offsets_s,
-        "decisions": [*map(str, decisions)],
+        "decisions": [*map(str, decisions), str(softness)],
         "flow_contradicted": {},
     }
     metrics["seconds"] += tracking_s

@@ -37,8 +37,6 @@ FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
 # Of a part's points: what is lost belongs to what it hung on, so a limb is a piece of a part when it is lost.
 LOST_SHARE = 0.25
-# Of all points at all moments: by parts a figure that is half lost gains 1 dB; where 2 % is lost it is worth no time.
-MUCH_LOST = 0.05
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
 STILL, MOVING_SHARE = (
     0.75,
@@ -154,12 +152,7 @@ def find_movers(
     stands = rest.canonical.only(~region)
     clips = [_with_what_stands(scene, film, replace(rest, canonical=stands)) for film in clips]
     moving = surface.only(moves)
-    graph, voxel = Graph(moving), rest.canonical.voxel
-
-    def in_parts(tracks: Tracks) -> Graph | None:
-        if tracks.lost.mean() < MUCH_LOST:
-            return None
-        return graph.in_parts(_labels(moving, graph, tracks, voxel))
+    graph = Graph(moving)
 
     tracks, decisions = follow_both_ways(
         moving,
@@ -169,7 +162,6 @@ def find_movers(
         lambda share: progress(0.25 + 0.65 * share, "tracking"),
         checkpoint,
         log,
-        in_parts,
     )
     return parts_of(scene, rest, surface, hidden, moves, graph, tracks), decisions
 
@@ -194,7 +186,8 @@ def parts_of(
     `surface` and `hidden` as `at_rest` gives them.
     """
     moving, voxel = surface.only(moves), rest.canonical.voxel
-    labels = _labels(moving, graph, tracks, voxel)
+    when = _while_moving(tracks, moving, voxel)
+    labels = rigid_parts(moving.xyz, tracks.xyz[when], tracks.lost[when], graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
     if kept.sum() < FEWEST_POINTS:
         return None
@@ -213,12 +206,6 @@ def parts_of(
         movers,
         {name: offset * span_s for name, offset in offsets if offset},
     )
-
-
-def _labels(surface: Surface, graph: Graph, tracks: Tracks, voxel: float) -> Int[np.ndarray, " p"]:
-    """The rigid part of each point, by what is seen while anything has moved."""
-    when = _while_moving(tracks, surface, voxel)
-    return rigid_parts(surface.xyz, tracks.xyz[when], tracks.lost[when], graph.links, voxel)
 
 
 def movers_of(

@@ -1,8 +1,7 @@
 """Follow surface points through time, away from the moment of rest, to the end and to the beginning of the films.
 
-They are followed by the nodes of a graph; again with other clocks where points seem to show that a camera's is wrong;
-and by the rigid parts that are known then, where much is lost. Each time cameras that are left out in turn tell which
-tracks are better (`cross_validation.py`).
+They are followed by the nodes of a graph, and again with other clocks where points seem to show that a camera's is
+wrong. Cameras that are left out in turn tell which tracks are better (`cross_validation.py`).
 """
 
 from collections.abc import Callable, Sequence
@@ -26,8 +25,6 @@ from devrf.reconstruct.tracking.runs import Runs
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.training_log import TrainingLog
 
-BY_NODES, BY_PARTS = "by nodes", "by rigid parts"
-LEFT_OUT = "in cameras left out of tracking in turn"
 MOST_AGAIN = 2  # times that everything is followed with other clocks
 SETTLED = 0.05  # of the time between moments: offsets that change by less are known
 # Of a long clip not every picture is looked at. What is thrown leaves the straight way between moments by a centimetre
@@ -78,12 +75,11 @@ def follow_both_ways(
     progress: Callable[[float], object] = lambda share: None,
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
-    in_parts: Callable[[Tracks], Graph | None] = lambda tracks: None,
 ) -> tuple[Tracks, list[Decision]]:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
-    Where they were followed more than once, the last tracks that agree more with pictures left out than those before,
-    by more than chance, and what was decided.
+    Where they were followed with other clocks, too, the tracks with which pictures left out agree more, by more than
+    chance, and what was decided.
 
     Args:
         surface: Points that move, at rest.
@@ -93,7 +89,6 @@ def follow_both_ways(
         progress: Told how much is done, of each time.
         checkpoint: Where to keep the state between two moments, and to take it up from.
         log: Counts the seconds, those before it was killed too.
-        in_parts: The graph in rigid parts, by tracks; None: not worth it.
     Raises:
         OutOfTime: The time for all is over; the state is kept.
     """
@@ -101,36 +96,24 @@ def follow_both_ways(
     gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
     runs = Runs(checkpoint, len(surface), log or TrainingLog("cpu", 1))
 
-    def followed(graph: Graph, offsets: Float[np.ndarray, " c"], name: str) -> _Following:
+    def followed(offsets: Float[np.ndarray, " c"], name: str) -> _Following:
         return _both_ways(surface, graph, films, times, before, offsets, progress, runs, name)
 
-    best, decisions = followed(graph, np.zeros(len(films)), BY_NODES), list[Decision]()
-    every = [best]
+    every = [followed(np.zeros(len(films)), "as said")]
     while len(every) <= MOST_AGAIN:
         offsets = offsets_to_follow([one.seen for one in every], gap)
         if np.abs(offsets - every[-1].tracks.offsets).max() < SETTLED * gap or not offsets.any():
             break
-        every.append(followed(graph, offsets, f"{len(every)} times again"))
-    if len(every) > 1:
-        moved = _moved(films, every[-1].tracks.offsets)
-        best = _better("clocks", "as they are", best, moved, every[-1], decisions)
-    parts = in_parts(best.tracks)
-    if parts is not None:
-        by_parts = followed(parts, best.tracks.offsets, BY_PARTS)
-        best = _better("tracks", BY_NODES, best, BY_PARTS, by_parts, decisions)
+        every.append(followed(offsets, f"{len(every)} times again"))
     runs.write()
-    return best.tracks, decisions
-
-
-def _better(
-    what: str, name: str, one: _Following, other_name: str, other: _Following, decisions: list[Decision]
-) -> _Following:
-    """The other one where it agrees more with pictures left out, by more than chance, else the one; and why."""
-    gain = other.left_out.gain_over(one.left_out)
-    reason = f"{LEFT_OUT} {other_name} gains {gain_text(gain, 'likeness')}"
-    chosen, offered = (other_name, name) if gain.side() > 0 else (name, other_name)
-    decisions.append(Decision(what, chosen, offered, reason))
-    return other if gain.side() > 0 else one
+    as_said, last = every[0], every[-1]
+    if last is as_said:
+        return as_said.tracks, []
+    gain, moved = last.left_out.gain_over(as_said.left_out), _moved(films, last.tracks.offsets)
+    reason = f"in cameras left out of tracking in turn moved ones gain {gain_text(gain, 'likeness')}"
+    if gain.side() > 0:
+        return last.tracks, [Decision("clocks", moved, "as they are", reason)]
+    return as_said.tracks, [Decision("clocks", "as they are", moved, reason)]
 
 
 def _moved(films: Sequence[Film], offsets: Float[np.ndarray, " c"]) -> str:

@@ -5,10 +5,10 @@ show: optical flow from the picture before, flow from the drawn prediction to th
 high-pass pictures itself. Points are always compared with real pictures, mostly of the rest, so errors do not add up.
 Pictures count at their exact times: a point of a picture at time t lies on the way between the two moments around it.
 
-Where pictures show what stands behind instead of a node's points, or those of the rigid part that it belongs to, the
-node is lost. What pictures seem to want of its points is then mostly chance, and would pull what is around, too: it
-only counts where all that hangs together is lost. The node is looked for again from other guesses: carried along by
-what is around it, where it was, and as far away as flow finds it; until it is found it is carried along.
+Where pictures show what stands behind instead of a node's points, the node is lost. What pictures seem to want of its
+points is then mostly chance, and would pull what is around, too: it only counts where all that hangs together is lost.
+The node is looked for again from other guesses: carried along by what is around it, where it was, and as far away as
+flow finds it; until it is found it is carried along.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -64,7 +64,6 @@ class Follower:
         self.poses = [Pose.rest(len(graph.nodes))]
         a, b = graph.nodes[graph.edges].transpose(1, 0, 2)
         self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
-        self.things = pieces(graph.edges, len(graph.nodes))
         self.lost_nodes = np.zeros(len(graph.nodes), dtype=bool)
         self.nodes_lost = [self.lost_nodes]  # at each moment
         self.sought = -SEEK_EVERY  # moment at which what is lost was last sought in vain
@@ -79,7 +78,7 @@ class Follower:
         """To the next moment."""
         graph, surface, shots = self.graph, self.surface, self.shots(moment)
         self._come(shots, moment)
-        expected = self.carried(graph.rigid(_ahead(*[self.poses[0], *self.poses][-2:])), self.lost_nodes)
+        expected = self.carried(_ahead(*[self.poses[0], *self.poses][-2:]), self.lost_nodes)
         found = expected
         if len(shots) >= FEWEST_CAMERAS:
             found = self.found(shots, expected, SIGMAS, believed=self._believed())
@@ -293,7 +292,7 @@ class Follower:
         return out
 
     def likeness(self, shots: Sequence[Shot], found: Pose) -> Float[np.ndarray, " n"]:
-        """Of what pictures show to the points of each node's part: 1 alike, -1 what stands behind; NaN not known."""
+        """Of what pictures show to the points of each node: 1 alike, -1 what stands behind; NaN not known."""
         graph, now = self.graph, self.xyz[-1]
         xyz = graph.points(found)
         sums = np.zeros((2, len(graph.nodes)))
@@ -302,12 +301,12 @@ class Follower:
             weights = graph.weights[points]
             np.add.at(sums[0], graph.followed[points], weights * votes[:, None])
             np.add.at(sums[1], graph.followed[points], weights)
-        sums = np.stack([np.bincount(graph.parts, of_nodes)[graph.parts] for of_nodes in sums])
         return np.where(sums[1] > TELLING, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
 
     def _believed(self) -> Bool[np.ndarray, " p"]:
         """Points that are not lost, and those of things that are lost as a whole."""
-        seen = np.bincount(self.things, ~self.lost_nodes)[self.things] > 0
+        piece = self.graph.piece
+        seen = np.bincount(piece, ~self.lost_nodes)[piece] > 0
         return ~self._points(self.lost_nodes & seen)
 
     def _points(self, nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " p"]:
@@ -319,9 +318,8 @@ class Follower:
         return np.where(np.isfinite(likeness), likeness < LOST, self.lost_nodes)
 
     def _groups(self, lost: Bool[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " k"]]:
-        """Lost nodes that are neighbours, or of one part."""
-        first = np.unique(self.graph.parts, return_index=True)[1][self.graph.parts]
-        pairs = np.vstack([self.graph.edges, np.stack([np.arange(len(lost)), first], 1)])
+        """Lost nodes that are neighbours."""
+        pairs = self.graph.edges
         piece = pieces(pairs[lost[pairs].all(1)], len(lost))
         for number in np.unique(piece[lost]):
             yield np.flatnonzero(lost & (piece == number))

@@ -4,17 +4,16 @@ Distances are along the surface and do not cross where two surfaces face each ot
 part.
 """
 
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from devrf.reconstruct.tracking.normal_equations import Blocks, skew
+from devrf.reconstruct.tracking.normal_equations import Blocks
 from devrf.reconstruct.tracking.surface import Surface
 
 NODES_APART = 4.5  # spacings of the points
@@ -46,7 +45,7 @@ class Graph:
         edges: Neighbours, both ways [e, 2].
         followed, weights: Nodes of each point, and how much it follows them [p, k].
         links: Neighbouring points, weighted by distance (sparse, symmetric).
-        parts: What moves rigidly, counted from 0: each node by itself, or with others (`in_parts`) [n].
+        piece: Number of what hangs together by edges, of each node [n].
         blocks: Of the matrix of a step of all nodes.
     """
 
@@ -68,7 +67,7 @@ class Graph:
         self.weights: Float[np.ndarray, "p k"] = weights / weights.sum(1, keepdims=True)
         self.offsets: Float[np.ndarray, "p k 3"] = xyz[:, None] - self.nodes[self.followed]
         self.edges = self._edges(along[:, chosen])
-        self.parts: Int[np.ndarray, " n"] = np.arange(len(self.nodes))
+        self.piece: Int[np.ndarray, " n"] = pieces(self.edges, len(self.nodes))
         self.blocks = Blocks.of(self.followed, self.edges, len(self.nodes))
 
     def _edges(self, along: Float[np.ndarray, "n n"]) -> Int[np.ndarray, "e 2"]:
@@ -84,46 +83,9 @@ class Graph:
         pairs = np.unique(np.sort(pairs, axis=1), axis=0)
         return np.vstack([pairs, pairs[:, ::-1]])
 
-    def in_parts(self, labels: Int[np.ndarray, " p"]) -> "Graph":
-        """The same graph; nodes move rigidly with the part to which most of the points belong that follow them."""
-        votes = np.zeros((len(self.nodes), labels.max() + 1))
-        np.add.at(votes, (self.followed, labels[:, None]), self.weights)
-        out = copy(self)
-        out.parts = np.unique(votes.argmax(1), return_inverse=True)[1]
-        return out
-
-    def pieces(self) -> Int[np.ndarray, " m"]:
-        """The number of the piece of each part: parts that edges join, one after the other."""
-        return pieces(self.parts[self.edges], int(self.parts.max()) + 1)
-
-    def rigid(self, pose: Pose) -> Pose:
-        """The pose with nodes of a part, which have one rotation, placed as they are at rest around their middle."""
-        arms = self.nodes - self._middles(self.nodes)
-        turned = np.einsum("nij,nj->ni", pose.rotations, arms)
-        return Pose(pose.rotations, self._middles(self.nodes + pose.shifts) + turned - self.nodes)
-
-    def moved(self, pose: Pose, turn: Float[np.ndarray, "m 3"], shift: Float[np.ndarray, "m 3"]) -> Pose:
-        """The pose after each part turned about its middle by a rotation vector, and was shifted."""
-        rotations = Rotation.from_rotvec(turn).as_matrix()[self.parts]
-        there = self.nodes + pose.shifts
-        middles = self._middles(there)
-        there = np.einsum("nij,nj->ni", rotations, there - middles) + middles + shift[self.parts]
-        return Pose(rotations @ pose.rotations, there - self.nodes)
-
-    def by_parts(self, pose: Pose) -> csr_matrix:
-        """Derivative of small rotations and shifts of nodes by those of their parts [6 n, 6 m]."""
-        there = self.nodes + pose.shifts
-        blocks = np.tile(np.eye(6), (len(there), 1, 1))
-        blocks[:, 3:, :3] = -skew(there - self._middles(there))
-        nodes = np.arange(len(there) + 1)
-        return csr_matrix(
-            bsr_matrix((blocks, self.parts, nodes), shape=(6 * nodes[-1], 6 * (self.parts.max() + 1)))
-        )
-
-    def _middles(self, places: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Of the part of each node."""
-        sums = np.stack([np.bincount(self.parts, x) for x in places.T], 1)
-        return (sums / np.bincount(self.parts)[:, None])[self.parts]
+    def moved(self, pose: Pose, turn: Float[np.ndarray, "n 3"], shift: Float[np.ndarray, "n 3"]) -> Pose:
+        """The pose after each node turned by a rotation vector, and was shifted."""
+        return Pose(Rotation.from_rotvec(turn).as_matrix() @ pose.rotations, pose.shifts + shift)
 
     def points(self, pose: Pose) -> Float[np.ndarray, "p 3"]:
         """Where all points are."""

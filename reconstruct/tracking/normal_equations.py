@@ -10,7 +10,7 @@ from typing import no_type_check
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import csc_matrix, csr_matrix
 
 from devrf.reconstruct.kernels.launch import array, launch, use_warp
@@ -127,25 +127,23 @@ def point_terms(
 def edge_terms(
     blocks: Blocks,
     edges: Int[np.ndarray, "e 2"],
-    kept: Bool[np.ndarray, " e"],
-    by_node: Float[np.ndarray, "c 2 3 6"],
-    residual: Float[np.ndarray, "c 3"],
+    by_node: Float[np.ndarray, "e 2 3 6"],
+    residual: Float[np.ndarray, "e 3"],
 ) -> tuple[Float[np.ndarray, "m 6 6"], Float[np.ndarray, " six_n"]]:
     """The same of residuals of edges: blocks and right side.
 
     Args:
         blocks: Of all edges.
         edges: All of them.
-        kept: Which have residuals.
-        by_node: Derivatives of these by small rotations and shifts of both nodes.
+        by_node: Derivatives of residuals by small rotations and shifts of both nodes.
         residual: What is to become small.
     """
-    first, second = edges[kept].T
+    first, second = edges.T
     one, other = by_node[:, 0], by_node[:, 1]
     between = one.mT @ other
     between = np.where((first > second)[:, None, None], between.mT, between)
     values = np.concatenate([one.mT @ one, between, other.mT @ other]).reshape(-1, 36)
-    rows = np.concatenate([blocks.of_node[first], blocks.of_edge[kept], blocks.of_node[second]])
+    rows = np.concatenate([blocks.of_node[first], blocks.of_edge, blocks.of_node[second]])
     summed = csr_matrix(
         (np.ones(len(rows)), (rows, np.arange(len(rows)))), shape=(len(blocks.pair), len(rows))
     )

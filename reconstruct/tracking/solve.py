@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
@@ -35,18 +34,15 @@ def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     b += of_nodes + EXPECTED * _away(pose, expected)
     blocks[graph.blocks.of_node] += EXPECTED * np.eye(6)
     A = graph.blocks.matrix(blocks)
-    if not np.array_equal(graph.parts, np.arange(len(graph.nodes))):  # else each node moves by itself
-        by_parts = graph.by_parts(pose)
-        A, b = csc_matrix(by_parts.T @ A @ by_parts), by_parts.T @ b
     A.setdiag(A.diagonal() * (1 + DAMPED) + LEAST)
-    # Positive definite, and parts meet only their neighbours: no pivots, few of the zeros are filled.
+    # Positive definite, and nodes meet only their neighbours: no pivots, few of the zeros are filled.
     factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    move = _shortened(factors.solve(-b).reshape(-1, 6), graph.pieces())
+    move = _shortened(factors.solve(-b).reshape(-1, 6), graph.piece)
     return graph.moved(pose, move[:, :3], move[:, 3:])
 
 
 def _shortened(move: Float[np.ndarray, "m 6"], piece: Int[np.ndarray, " m"]) -> Float[np.ndarray, "m 6"]:
-    """Turns and shifts of parts, each piece's by its own largest: what flies off does not hold back what it left."""
+    """Turns and shifts of nodes, each piece's by its own largest: what flies off does not hold back what it left."""
     largest = np.abs(move / np.repeat([LARGEST_TURN, LONGEST_STEP], 3)).max(1)
     too_far = np.ones(piece.max() + 1)
     np.maximum.at(too_far, piece, largest)
@@ -54,20 +50,18 @@ def _shortened(move: Float[np.ndarray, "m 6"], piece: Int[np.ndarray, " m"]) -> 
 
 
 def _rigid(graph: Graph, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """Edges between parts as they were at rest, turned with their first node: blocks and right side."""
-    kept = np.asarray(np.diff(graph.parts[graph.edges]).any(1))
-    edges = graph.edges[kept]
-    a, b = edges.T
+    """Edges as they were at rest, turned with their first node: blocks and right side."""
+    a, b = graph.edges.T
     edge = graph.nodes[b] - graph.nodes[a]
     turned = np.einsum("eij,ej->ei", pose.rotations[a], edge)
     residual = turned + graph.nodes[a] + pose.shifts[a] - graph.nodes[b] - pose.shifts[b]
     length = np.linalg.norm(edge, axis=1, keepdims=True)
     stretch = np.linalg.norm(edge + pose.shifts[b] - pose.shifts[a], axis=1, keepdims=True) / length - 1
     root = np.sqrt(RIGID / (1 + (stretch / TEARS) ** 2)) / length
-    by_node = np.zeros((len(edges), 2, 3, 6))
+    by_node = np.zeros((len(graph.edges), 2, 3, 6))
     by_node[:, 0, :, :3] = -skew(turned)
     by_node[:, 0, :, 3:], by_node[:, 1, :, 3:] = np.eye(3), -np.eye(3)
-    return edge_terms(graph.blocks, graph.edges, kept, by_node * root[:, None, None], residual * root)
+    return edge_terms(graph.blocks, graph.edges, by_node * root[:, None, None], residual * root)
 
 
 def _away(pose: Pose, expected: Pose) -> Float[np.ndarray, " six_n"]:

@@ -4,6 +4,7 @@ import logging
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,7 +13,12 @@ from devrf.reconstruct import checkpoint as checkpoints
 from devrf.reconstruct.checkpoint import NOWHERE, Begun, Checkpoint, State
 from devrf.reconstruct.training_log import TrainingLog
 
-TENSORS = {"grid": torch.arange(12.0).reshape(3, 4), "step": torch.tensor(7), "nothing": torch.zeros(0, 3)}
+TENSORS = {
+    "grid": torch.arange(12.0).reshape(3, 4),
+    "step": torch.tensor(7),
+    "nothing": torch.zeros(0, 3),
+    "none": torch.from_numpy(np.array([])),  # whose stride is 0
+}
 
 
 def _log() -> TrainingLog:

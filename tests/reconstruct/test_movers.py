@@ -4,7 +4,6 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -544,30 +543,6 @@ def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, r
     assert told["longest_lost"] == 3
 
 
-def test_points_are_followed_by_parts_where_much_is_lost(
-    session: Scene, rest: RestModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    surface, tracks, _ = half_covered()
-    scene = session.in_box_frame()
-    tracks = replace(tracks, offsets=np.zeros(len(standing_clips(scene))))
-    little = replace(tracks, lost=tracks.lost & (np.arange(300) < 30))
-
-    def follow(surface: Surface, graph: Graph, *arguments: Any) -> tuple[Tracks, list[Decision]]:
-        in_parts = arguments[-1]
-        assert 0 < little.lost.mean() < 0.05 and in_parts(little) is None
-        assert not in_parts(tracks).parts.any() and len(graph.nodes) > 1
-        return tracks, []
-
-    hidden = torch.zeros(rest.canonical.shape, dtype=torch.bool)
-    name = "devrf.reconstruct.tracking.find."
-    monkeypatch.setattr(name + "at_rest", lambda scene, rest: (surface, hidden))
-    monkeypatch.setattr(name + "moving_points", lambda *_: np.ones(300, dtype=bool))
-    monkeypatch.setattr(name + "_with_what_stands", lambda scene, film, stands: film)
-    monkeypatch.setattr(name + "follow_both_ways", follow)
-    found, decisions = find_movers(scene, rest, DisFlow())
-    assert found is not None and found.movers.parts == 1 and decisions == []
-
-
 def test_what_appears_in_empty_air_is_not_tracked(session: Scene, rest: RestModel) -> None:
     nothing = torch.zeros(rest.canonical.shape, dtype=torch.bool)
     empty = replace(rest, canonical=rest.canonical.only(nothing))
@@ -600,14 +575,11 @@ def errors(by_db: float, spread_db: float = 0.0) -> Errors:
     return Errors(tuple(("cam0", int(at)) for at in n), n / len(n), 10 ** (-db / 10), np.ones(len(n), int))
 
 
-def test_by_rigid_parts_nothing_stretches_and_clocks_are_those_of_tracking(
-    session: Scene, rest: RestModel, tracked, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    by_parts = Decision("tracks", "by rigid parts", "by nodes", "because")
-    tracked(TRAVEL, {"cam1": 0.02}, [by_parts])
-    monkeypatch.setattr("devrf.reconstruct.train_deformation.DOUBTED_DB", -np.inf)
-    _, metrics = train_deformation(session, rest, {}, replace(OPTIONS, together=1), estimator=DisFlow)
-    assert metrics["decisions"] == [str(by_parts)] and metrics["clock_offsets_s"] == {"cam1": 0.02}
+def test_clocks_are_those_of_tracking(session: Scene, rest: RestModel, tracked) -> None:
+    moved = Decision("clocks", "cam1 +20 ms", "as they are", "because")
+    tracked(TRAVEL, {"cam1": 0.02}, [moved])
+    _, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    assert metrics["decisions"][0] == str(moved) and metrics["clock_offsets_s"] == {"cam1": 0.02}
 
 
 @pytest.mark.parametrize("stretch", [np.eye(3), STRETCH])

@@ -416,9 +416,6 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
         assert np.nanmedian(likeness[lost]) < 0.25
         right = follower.likeness(shots, follower.found(shots, Pose.rest(len(graph.nodes)), FARTHER))
         assert np.nanmedian(right) > 0.5
-        follower.graph = graph.in_parts(card)  # of which a part is lost as a whole, or not at all
-        right = follower.likeness(shots, Pose.rest(len(graph.nodes)))
-        assert len(np.unique(right)) == 2 and np.isfinite(right).all()
 
 
 @pytest.mark.parametrize(
@@ -437,7 +434,7 @@ def test_what_hangs_on_nothing_goes_along_with_what_is_near(
     with ThreadPoolExecutor(1) as pool:
         clocks = Offsets(np.zeros(3), surface.xyz)
         follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
-        assert len(np.unique(follower.things)) == 2
+        assert len(np.unique(follower.graph.piece)) == 2
         before = Pose(pose.rotations, 0.5 * pose.shifts)
         if not along:
             before.shifts[head] *= -1
@@ -515,34 +512,18 @@ def test_tracking_that_was_killed_goes_on_where_it_was(
     assert goes.call_count == PICTURES and over.path is not None and over.path.exists()
 
 
-def test_once_parts_are_known_everything_is_followed_again_by_them(films: list[Film]) -> None:
-    surface, card = on_cards()
-    short = [replace(f, frames=f.frames[: REST + 1], times=f.times[: REST + 1]) for f in films]
-    graph = Graph(surface)
-    found, (decision,) = follow_both_ways(
-        surface, graph, short, 0.5, in_parts=lambda tracks: graph.in_parts(card)
-    )
-    assert decision.what == "tracks" and "in cameras left out of tracking" in decision.reason
-    wrong = np.linalg.norm(found.xyz - true_tracks(surface, card, found.times), axis=-1)
-    assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02 and not found.lost.any()
-    if decision.chosen == "by rigid parts":
-        for mine in (card == 0, card == 1):
-            rest, there = surface.xyz[mine], found.xyz[:, mine].astype(float)
-            assert residual(motion_of(rest, there), rest, there).max() < 1e-10
-
-
 @pytest.fixture
 def followed(films: list[Film], monkeypatch: pytest.MonkeyPatch):
-    """What following comes to is decided by the test: the likeness of pictures left out, by graph and offset."""
+    """What following comes to is decided by the test: the likeness of pictures left out, by the first offset."""
 
-    def decide(likeness: Callable[[Graph, float], float]) -> list[tuple[Graph, float]]:
-        by: list[tuple[Graph, float]] = []
+    def decide(likeness: Callable[[float], float]) -> list[float]:
+        by: list[float] = []
 
         def both_ways(surface, graph, films, times, middle, offsets, *others):
-            by.append((graph, offsets[0] / GAP))
+            by.append(offsets[0] / GAP)
             left_out = CrossValidation()
             for n in range(8):
-                left_out.add(0, n, n / 8, np.full(50, likeness(*by[-1]) + 0.001 * (n % 2)))
+                left_out.add(0, n, n / 8, np.full(50, likeness(by[-1]) + 0.001 * (n % 2)))
             where = np.tile(surface.xyz, (len(times), 1, 1))
             return _Following(
                 Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}, left_out
@@ -554,29 +535,22 @@ def followed(films: list[Film], monkeypatch: pytest.MonkeyPatch):
     return decide
 
 
-@pytest.mark.parametrize("moved", [True, False])
-@pytest.mark.parametrize("by_parts", [True, False])
-def test_what_cameras_left_out_agree_with_is_taken(
-    films: list[Film], monkeypatch: pytest.MonkeyPatch, followed, moved: bool, by_parts: bool
+@pytest.mark.parametrize("gain", [0.1, 0.0, -0.1])
+def test_clocks_are_moved_where_cameras_left_out_agree_more(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch, followed, gain: float
 ) -> None:
-    """With other clocks by nodes: parts that were found with wrong clocks are wrong ones."""
-    surface, card = on_cards()
-    graph = Graph(surface)
-    parts = graph.in_parts(card)
-    by = followed(
-        lambda g, late: (0.1 if moved else -0.1) * (late > 0) + (0.2 if by_parts else 0) * (g is parts)
-    )
+    surface, _ = on_cards()
+    followed(lambda late: gain * (late > 0))
     monkeypatch.setattr(
         "devrf.reconstruct.tracking.follow.offsets_to_follow", lambda seen, gap: np.array([0.5 * GAP, 0, 0])
     )
-    found, (clocks, tracks) = follow_both_ways(surface, graph, films, 0.5, in_parts=lambda tracks: parts)
-    late = 0.5 if moved else 0.0
-    assert found.offsets[0] == pytest.approx(late * GAP)
-    assert by == [(graph, 0.0), (graph, pytest.approx(0.5)), (parts, pytest.approx(late))]
-    assert str(clocks).startswith(f"clocks: {'left +' if moved else 'as they are instead of left +'}")
-    assert clocks.reason.startswith(f"in cameras left out of tracking in turn left {500 * GAP:+.3g} ms gains")
-    assert f"{0.1 if moved else -0.1:+.2f} ± 0.00 likeness" in clocks.reason
-    assert tracks.chosen == ("by rigid parts" if by_parts else "by nodes")  # as good is not better
+    found, (decision,) = follow_both_ways(surface, Graph(surface), films, 0.5)
+    assert found.offsets[0] == pytest.approx((0.5 if gain > 0 else 0.0) * GAP)  # as good is not better
+    two = ("as they are", f"left {500 * GAP:+.3g} ms")
+    assert (decision.chosen, decision.offered) == (two[::-1] if gain > 0 else two)
+    assert decision.reason == (
+        f"in cameras left out of tracking in turn moved ones gain {gain:+.2f} ± 0.00 likeness"
+    )
 
 
 @pytest.mark.parametrize(
@@ -592,13 +566,13 @@ def test_everything_is_followed_again_until_offsets_settle(
     films: list[Film], monkeypatch: pytest.MonkeyPatch, followed, told: list[float], with_which: list[float]
 ) -> None:
     surface, _ = on_cards()
-    said, by = iter(told), followed(lambda graph, late: late)
+    said, by = iter(told), followed(lambda late: late)
     monkeypatch.setattr(
         "devrf.reconstruct.tracking.follow.offsets_to_follow",
         lambda seen, gap: GAP * np.array([next(said), 0, 0]),
     )
     found, _ = follow_both_ways(surface, Graph(surface), films, 0.5)
-    assert [late for _, late in by] == pytest.approx(with_which)
+    assert by == pytest.approx(with_which)
     assert found.offsets[0] == pytest.approx(with_which[-1] * GAP)  # those that it was followed with
 
 
@@ -616,26 +590,6 @@ def test_what_was_left_out_is_kept_and_compared() -> None:
     again.take_up(one.state())
     assert again.likeness == one.likeness and again.times == one.times
     assert empty.gain_over(one).side() == 0 and empty.with_those_of(one).likeness == one.likeness
-
-
-@pytest.mark.full
-def test_tracking_by_parts_that_was_killed_goes_on_where_it_was(films: list[Film], tmp_path: Path) -> None:
-    surface, card = on_cards()
-    short = [replace(f, frames=f.frames[: REST + 1], times=f.times[: REST + 1]) for f in films]
-    graph = Graph(surface)
-
-    def follow(progress: Callable[[float], object], checkpoint: Checkpoint) -> Tracks:
-        found, _ = follow_both_ways(
-            surface, graph, short, 0.5, progress, checkpoint, in_parts=lambda tracks: graph.in_parts(card)
-        )
-        return found
-
-    checkpoint = Checkpoint(tmp_path / "state.safetensors", "these", every_s=0.0)
-    with pytest.raises(Killed):
-        follow(Mock(side_effect=[None] * (REST + 1) + [Killed]), checkpoint)  # the second time has begun
-    again = follow(Mock(), checkpoint)
-    whole = follow(Mock(), Checkpoint(tmp_path / "other.safetensors", "these"))
-    assert np.array_equal(again.xyz, whole.xyz) and np.array_equal(again.lost, whole.lost)
 
 
 def test_two_motions_are_two_parts(tracks: Tracks) -> None:
@@ -854,61 +808,6 @@ def test_a_step_goes_where_all_points_are_pulled() -> None:
     assert np.abs(graph.points(pose) - goal).max() < 1e-4
 
 
-def test_a_part_goes_where_half_of_it_is_pulled_and_leaves_others_where_they_are() -> None:
-    surface, card = on_cards()
-    graph = Graph(surface).in_parts(card)
-    R, middle = Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix(), CENTRES[1] + [0.1, 0.0, 0.2]
-    goal = np.where((card == 1)[:, None], (surface.xyz - CENTRES[1]) @ R.T + middle, surface.xyz)
-    strength = np.where((card == 1) & (surface.xyz[:, 0] > CENTRES[1, 0]), 1e4, 0.0)
-    pose = rest = Pose.rest(len(graph.nodes))
-    for _ in range(8):
-        apart = strength[:, None] * (graph.points(pose) - goal)
-        pose = step(graph, pose, rest, Pulls(strength[:, None, None] * np.eye(3), apart))
-    assert np.abs(graph.points(pose) - goal).max() < 1e-3
-
-
-def strip() -> tuple[Surface, Graph]:
-    """A strip along x, and its graph in the parts 0 1 2 0: what is at its ends is one part."""
-    x, z = np.meshgrid(SPACING * np.arange(80), SPACING * np.arange(6), indexing="ij")
-    xyz = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], 1)
-    surface = Surface(xyz, np.tile([0.0, 1.0, 0.0], (len(xyz), 1)), np.ones_like(xyz), SPACING)
-    return surface, Graph(surface).in_parts(np.array([0, 1, 2, 0])[(xyz[:, 0] / (20 * SPACING)).astype(int)])
-
-
-def test_parts_hold_together_where_they_meet() -> None:
-    """Of a strip that came apart only one end is held by pictures: the other parts come back to it, rigid."""
-    surface, graph = strip()
-    apart = Pose.rest(len(graph.nodes))
-    apart.shifts[:] = np.array([[0, 0, 0], [0, 0.04, 0], [0, -0.03, 0.02]])[graph.parts]
-    strength = np.where(surface.xyz[:, 0] < 20 * SPACING, 1e4, 0.0)
-    pose = apart
-    for _ in range(10):
-        pulls = Pulls(
-            strength[:, None, None] * np.eye(3), strength[:, None] * (graph.points(pose) - surface.xyz)
-        )
-        pose = step(graph, pose, apart, pulls)
-    assert np.linalg.norm(graph.points(pose) - surface.xyz, axis=1).max() < 0.005
-    for part in range(3):
-        mine = graph.parts == part
-        there = (graph.nodes + pose.shifts)[None, mine]
-        assert residual(motion_of(graph.nodes[mine], there), graph.nodes[mine], there).max() < 1e-12
-
-
-def test_a_lost_part_of_two_pieces_is_carried_as_one(films: list[Film]) -> None:
-    surface, graph = strip()
-    ends = graph.parts == 0
-    pose = Pose.rest(len(graph.nodes))
-    pose.shifts[graph.parts == 1] += [0.0, 0.3, 0.0]
-    with ThreadPoolExecutor(1) as pool:
-        clocks = Offsets(np.zeros(3), surface.xyz)
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
-        (group,) = follower._groups(ends)
-        assert np.array_equal(group, np.flatnonzero(ends))
-        carried = follower.carried(pose, ends)
-    there = (graph.nodes + carried.shifts)[None, ends]
-    assert residual(motion_of(graph.nodes[ends], there), graph.nodes[ends], there).max() < 1e-12
-
-
 def test_a_step_is_held_to_its_longest() -> None:
     surface, _ = on_cards()
     graph = Graph(surface)
@@ -918,10 +817,9 @@ def test_a_step_is_held_to_its_longest() -> None:
     assert np.abs(pose.shifts).max() == pytest.approx(0.08)
 
 
-@pytest.mark.parametrize("whole", [False, True], ids=["nodes", "parts"])
-def test_what_goes_far_does_not_shorten_the_steps_of_what_hangs_elsewhere(whole: bool) -> None:
+def test_what_goes_far_does_not_shorten_the_steps_of_what_hangs_elsewhere() -> None:
     surface, card = on_cards()
-    graph = Graph(surface).in_parts(card) if whole else Graph(surface)
+    graph = Graph(surface)
     goal = surface.xyz + np.array([[0.05, 0.0, 0.0], [2.0, 0.0, 0.0]])[card]
     pose = rest = Pose.rest(len(graph.nodes))
     for _ in range(4):
