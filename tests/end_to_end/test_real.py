@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,14 +29,17 @@ def read(path: Path) -> Any:
     return json.loads(path.read_text())
 
 
-# --- fox_static: 50 photos, a scene at rest ---
+# --- fox_static: every second of 50 photos, a scene at rest ---
 
 
 @pytest.fixture(scope="module")
 def fox(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of the fox, from photos to the report."""
     folder = tmp_path_factory.mktemp("fox")
-    capture = {"static": str(data_dir / "fox_static" / "images")}
+    (folder / "photos").mkdir()
+    for photo in sorted((data_dir / "fox_static" / "images").iterdir(), key=lambda p: int(p.stem))[::2]:
+        shutil.copy(photo, folder / "photos")
+    capture = {"static": "photos"}
     scene = write_scene(folder, name="fox", capture=capture, reconstruct={"canonical_iterations": 200})
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(render.SIZES, "tiny", SMALL_FILM)
@@ -57,14 +61,14 @@ def test_fox_is_a_scene_at_rest(devrf: Callable, fox: Path) -> None:
 
 def test_fox_poses_agree_with_the_reference(fox: Path, data_dir: Path) -> None:
     poses = read(fox / "run/static_poses/static_poses.json")
-    assert poses["given"] == 50
-    assert poses["registered"] >= 48
+    assert poses["given"] == 25
+    assert poses["registered"] >= 24
     ingest = read(fox / "run/ingest/ingest.json")["cameras"]["static"]
     reference = {
         Path(frame["file_path"]).name: np.array(frame["transform_matrix"])[:3, :3] @ np.diag([1.0, -1, -1])
         for frame in read(data_dir / "fox_static/transforms.json")["frames"]
     }
-    sources = fox_sources(ingest, data_dir)
+    sources = fox_sources(ingest, fox / "photos")
     ours, theirs = [], []
     for name, frame in poses["frames"].items():
         index = int(Path(name).stem)
@@ -74,9 +78,9 @@ def test_fox_poses_agree_with_the_reference(fox: Path, data_dir: Path) -> None:
     assert np.median(angles) <= 0.5
 
 
-def fox_sources(ingest: dict[str, Any], data_dir: Path) -> dict[int, str]:
+def fox_sources(ingest: dict[str, Any], photos: Path) -> dict[int, str]:
     """Frame index -> name of the photo: natural order of the folder."""
-    names = sorted((data_dir / "fox_static/images").iterdir(), key=lambda p: int(p.stem))
+    names = sorted(photos.iterdir(), key=lambda p: int(p.stem))
     assert len(names) == len(ingest["frames"])
     return {frame["index"]: name.name for frame, name in zip(ingest["frames"], names, strict=True)}
 
@@ -186,7 +190,7 @@ def portrait(folder: Path, data_dir: Path, given: Path) -> Path:
     source = data_dir / "pose2sim_single" / "videos"
     clips = {path.stem: str(path) for path in sorted(source.glob("cam*.mp4"))}
     assert len(clips) == 4
-    capture = {"cameras": clips, "range_s": [0, 0.1]}
+    capture = {"cameras": clips, "range_s": [0, 0.05]}
     calibration = {"rig": {"given": str(given)}, "sync": {"method": "none"}}
     return write_scene(folder, name="portrait", capture=capture, calibration=calibration)
 
@@ -241,8 +245,8 @@ def test_a_calibration_of_uncropped_pictures_is_refused_by_name(
 def cloth(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of the waving sheet, to its metrics."""
     folder = tmp_path_factory.mktemp("cloth")
-    dataset = {"format": "devrf", "path": str(data_dir / "devrf_cloth"), "frame_stride": 5}
-    scene = write_scene(folder, name="cloth", dataset=dataset)
+    dataset = {"format": "devrf", "path": str(data_dir / "devrf_cloth"), "frame_stride": 10}
+    scene = write_scene(folder, name="cloth", dataset=dataset, reconstruct={"canonical_iterations": 300})
     result = devrf("run", scene, "--until", "evaluate")
     assert result.code == 0, result.said
     return folder / "run"
