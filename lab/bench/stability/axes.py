@@ -44,9 +44,11 @@ def _paler(was: SessionOptions, percent: float) -> dict[str, float]:
     return {"texture_contrast": was.texture_contrast * (1 - percent / 100)}
 
 
-def _option(name: str, units: int, **how: bool) -> Damaging:
-    """The session simulated again with another option, of which the severity counts so many units."""
-    return again(lambda was, severity: {name: severity / units}, **how)
+def _option(name: str, units: int, sweep_stays: bool = False, cameras_stay: bool = False) -> Damaging:
+    """The session simulated again with another option, of which the severity counts so many parts."""
+    return again(
+        lambda was, severity: {name: severity / units}, sweep_stays=sweep_stays, cameras_stay=cameras_stay
+    )
 
 
 def _change(kind: str, units: int) -> Damaging:
