@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from benchmarks.script import arguments, finish
+from benchmarks.script import arguments, centres, finish
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
@@ -99,9 +99,7 @@ def true_points(
 ) -> Float[np.ndarray, "t n 3"]:
     """Where the object's points are at times of the scene, in the box frame."""
     truth = read_truth(truth_file)
-    mine = [(f.camera.centre, truth.static[f.index][:3, 3]) for f in scene.static]
-    mine += [(f.camera.centre, truth.cameras[f.camera_name][:3, 3]) for f in scene.dynamic]
-    recovered, true = (np.array(centres) for centres in zip(*mine, strict=True))
+    recovered, true = centres(scene, truth)
     box_from_true = scene.box_from_world @ similarity(true, recovered)
     with np.load(truth_file.with_name("object_points.npz")) as file:
         known_s, points = file["times_s"], file["points_m"].astype(float)

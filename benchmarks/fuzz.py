@@ -1,11 +1,10 @@
-"""Files that users and other programs write, damaged, through the commands that read them: what is said, how costly.
+"""Files that users and other programs write, as nobody should, through the commands that read them: what is said.
 
-    python -m benchmarks.fuzz [--cases 300] [--only WORD] [--json FILE]     # from the repository's root
+    python -m benchmarks.fuzz [--only WORD] [--json FILE]     # from the repository's root
 
-Two kinds of input. *Thought of*, each once: deep JSON, numbers beyond all numbers, names that no system takes, pipes,
-folders in place of files. *Damaged*: scene.yaml, a table, a truth and calibrations, each by a damage that the number of
-its case decides (`tests/faults/test_fuzz_files.py` has more kinds, some need captures of others). A row per input that
-was taken wrongly (a traceback, a fault of the program, an exit code that does not belong there, more than 10 s or 1 GB
+Each input that somebody thought of, once: deep JSON, numbers beyond all numbers, names that no system takes, pipes,
+folders in place of files (damage at random is that of `tests/faults/test_fuzz_files.py`). A row per input that was
+taken wrongly (a traceback, a fault of the program, an exit code that does not belong there, more than 10 s or 1 GB
 before a message), and rows of all.
 """
 
@@ -20,18 +19,16 @@ from typing import Any
 
 import numpy as np
 from benchmarks.script import arguments, finish
-from tests.faults.fuzz_material import FRAMES, SIZE, Target, pictures, scene_yaml
+from tests.faults.fuzz_material import FRAMES, SIZE, pictures, scene_yaml
 from tests.faults.fuzzing import Fuzzer, Outcome, fuzzer
-from tests.faults.mutations import JSON, NUMBERS, TEXT
-from tests.faults.test_fuzz_files import attempt, damage
-from tests.make.rigs import RIG_LAYOUTS
+from tests.faults.mutations import NUMBERS
 
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.video_writer import write_video
 from devrf.lab.bench.bench_rows import Row
 
-CASES, MOST_S, MOST_MB = 300, 10.0, 1000.0
+MOST_S, MOST_MB = 10.0, 1000.0
 CLIPS = {"cam0": "cam0.mp4", "cam1": "cam1.mp4"}
 DRY = ("run", "SCENE", "--dry-run", "--until", "sync")
 OPTIONS = {
@@ -70,12 +67,11 @@ Thought = tuple[str, Callable[[Path], Any], tuple[str, ...], tuple[int, ...]]
 
 def main() -> None:
     """Give every input, print the rows and write them."""
-    chosen = arguments(__doc__, cases=CASES, only="")
+    chosen = arguments(__doc__, only="")
     with tempfile.TemporaryDirectory() as folder, fuzzer() as run:
         place = Path(folder)
         base = session(place / "base")
         results = [*thought_of(run, base, place / "scene", chosen.only)]
-        results += damaged(run, kinds(place, base), chosen.cases, chosen.only)
     finish("fuzz", rows_of(results), chosen.json)
 
 
@@ -114,18 +110,6 @@ def thought_of(run: Fuzzer, base: Path, scene: Path, only: str) -> Iterator[Resu
             shutil.copytree(base, scene, symlinks=True)
             change(scene)
             yield name, run.command(*(word.replace("SCENE", str(scene)) for word in command)), allowed
-
-
-def damaged(run: Fuzzer, targets: dict[str, Target], cases: int, only: str) -> Iterator[Result]:
-    """How each file is taken in turn, by another damage each time."""
-    names = itertools.cycle([name for name in targets if only in name])
-    for case, name in zip(range(cases), names, strict=False):
-        target = targets[name]
-        outcome, _ = attempt(run, target, damage(target.file.read_bytes(), target, case))
-        yield f"{name}, damage {case}", outcome, target.allowed
-
-
-# --- what somebody thought of ---
 
 
 def of_texts() -> Iterator[Thought]:
@@ -218,9 +202,6 @@ def odd_rig(key: str, value: str) -> Callable[[Path], Any]:
     return change
 
 
-# --- what is damaged ---
-
-
 def session(folder: Path) -> Path:
     """Two short clips, files beside them, and a run folder with files of two stages."""
     scene = scene_yaml(folder, capture={"cameras": CLIPS})
@@ -236,32 +217,6 @@ def session(folder: Path) -> Path:
         (folder / "run" / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / "run" / file).write_text("{}" if file.endswith(".json") else "")
     return scene
-
-
-def kinds(place: Path, base: Path) -> dict[str, Target]:
-    """Texts to damage: scene.yaml, a table, a truth, and calibrations of every format that is text."""
-    targets: dict[str, Target] = {}
-
-    def add(name: str, file: str, mutations: tuple[Any, ...], capture: dict[str, Any], **keys: Any) -> None:
-        scene = place / name
-        shutil.copytree(base, scene, symlinks=True, ignore=shutil.ignore_patterns("run"), dirs_exist_ok=True)
-        scene_yaml(scene, capture={"cameras": CLIPS, **capture}, **keys)
-        targets[name] = Target(scene / file, mutations, scene, DRY[2:], allowed=(0, 2))
-
-    add("scene.yaml", "scene.yaml", TEXT, {})
-    add("table", "times.csv", TEXT, {"timestamps": "times.csv"})
-    add("truth", "truth.json", JSON, {}, evaluate={"truth": "truth.json"})
-    add("rig.json", "rig.json", JSON, {}, calibration={"rig": {"given": "rig.json"}})
-    for name, write in RIG_LAYOUTS.items():
-        given = place / name / "given"
-        given.mkdir(parents=True)
-        write(given, cameras(), True)
-        files = sorted(path for path in given.rglob("*") if path.is_file())
-        if all(path.suffix != ".bin" for path in files):
-            named = "given" if len(files) > 1 else f"given/{files[0].name}"
-            file = files[0].relative_to(place / name).as_posix()
-            add(name, file, TEXT, {}, calibration={"rig": {"given": named}})
-    return targets
 
 
 def cameras() -> dict[str, Camera]:

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from benchmarks.script import finish
+from benchmarks.script import centres, finish
 from PIL import Image
 from plyfile import PlyData
 from scipy.spatial import KDTree
@@ -71,13 +71,7 @@ class _Truth:
         self.thing = make_object(made["made_by"]["scene"], seeds[1], options)
         self.still = [*around.still, *around.behind, *self.thing.stand, *standing_board(seeds[2], options)]
         self.rest_until_s = made["object"]["rest_until_s"]
-        fixed = {f.camera_name: f.camera for f in scene.dynamic}
-        pairs = [(truth.static[f.index], f.camera) for f in scene.static]
-        pairs += [(truth.cameras[name], camera) for name, camera in fixed.items()]
-        ours, true = (
-            np.array(centres) for centres in zip(*((c.centre, p[:3, 3]) for p, c in pairs), strict=True)
-        )
-        self.true_from_world = similarity(ours, true)
+        self.true_from_world = similarity(*centres(scene, truth))
 
     def distances(self, points: np.ndarray, time_s: float) -> np.ndarray:
         """Metres from points of our world to the nearest true surface at a time on cam0's clock."""

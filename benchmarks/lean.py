@@ -1,6 +1,6 @@
-"""How heavy the program is to work with: lines, start-up, a run in which nothing is stale, trainings beside others.
+"""How heavy the program is to work with: start-up, a run in which nothing is stale, trainings beside others.
 
-    python benchmarks/lean.py RUN_SCENE --json benchmarks/results/lean-cpu.json [--skip lines,starts,beside]
+    python benchmarks/lean.py RUN_SCENE --json benchmarks/results/lean-cpu.json [--skip starts,beside]
 
 RUN_SCENE is the scene.yaml of a run that is finished, the example's (`make demo`); it is copied, not changed. Nothing
 else should run meanwhile. Quarter of an hour; the trainings beside a busy program are most of it.
@@ -16,12 +16,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from lines import PRODUCT, of_folder
 from script import arguments, finish
 
 from devrf.lab.bench.bench_rows import Row
 
-ROOT = Path(__file__).resolve().parent.parent
 PROGRAM = [sys.executable, "-m", "devrf.pipelines.cli"]
 STARTS = 5
 BUSY = "while True: pass"
@@ -31,23 +29,10 @@ def main() -> None:
     """Measure, print and write."""
     asked = arguments(__doc__, "scene", skip="")
     rows = [
-        *(() if "lines" in asked.skip else _lines()),
         *(() if "starts" in asked.skip else _starts(asked.scene)),
         *(() if "beside" in asked.skip else _beside(asked.scene)),
     ]
     finish("lean", rows, asked.json)
-
-
-def _lines() -> list[Row]:
-    """Lines of product with benchmarks, of these code, lines of tests."""
-    product = [of_folder(ROOT / room) for room in PRODUCT]
-    counted = {
-        "lines": (sum(n for n, _ in product), 59_500),
-        "code": (sum(n for _, n in product), 42_500),
-        "tests": (of_folder(ROOT / "tests")[0], 31_000),
-    }
-    rows = [(Row(f"lean/{name}", n, "lines"), goal) for name, (n, goal) in counted.items()]
-    return [row.at_most(goal) for row, goal in rows]
 
 
 def _starts(scene: Path) -> list[Row]:

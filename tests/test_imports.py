@@ -1,6 +1,7 @@
 """Imports point one way: lab -> pipelines -> reconstruct -> flow -> calibration -> capture."""
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,12 @@ ORDER = (
 )  # each may import those before it
 
 
+@functools.cache
+def parsed(source: str) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    """The imports of a source, at any depth."""
+    return tuple(n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Import | ast.ImportFrom))
+
+
 def wrong_way(room: str, source: str) -> list[str]:
     """Imports in a file of a room that point the wrong way."""
     allowed = ORDER[: ORDER.index(room) + 1]
@@ -29,10 +36,10 @@ def wrong_way(room: str, source: str) -> list[str]:
 def imported(source: str) -> list[str]:
     """Every devrf.* module that a source names in an import, at any depth."""
     names = []
-    for node in ast.walk(ast.parse(source)):
+    for node in parsed(source):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif node.module:
             names += [f"{node.module}.{alias.name}" for alias in node.names]
     return [name for name in names if name.startswith("devrf.")]
 
@@ -63,7 +70,7 @@ def test_domain_folders_know_nothing_of_yaml_or_the_command_line() -> None:
         for path in (REPOSITORY / room).rglob("*.py"):
             if path == YAML_IS_THE_FORMAT:
                 continue
-            for node in ast.walk(ast.parse(path.read_text())):
+            for node in parsed(path.read_text()):
                 names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
                 known = {name.split(".")[0] for name in names} & {"yaml", "typer", "rich"}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from devrf.calibration.bounds import VOXEL, focus_point, scene_bounds
+from devrf.calibration.bounds import VOXEL, Bounds, focus_point, scene_bounds
 from devrf.calibration.box_checks import cut_off, not_explained, not_swept, outside_box
 from devrf.calibration.intrinsics import guess
 from devrf.calibration.mask_box import MaskHull
@@ -35,6 +35,16 @@ def ball_mask(camera: Camera, centre: np.ndarray = BALL, radius: float = RADIUS)
     to_ball = centre - camera.centre
     away = np.linalg.norm(np.cross(rays, to_ball), axis=-1)
     return MotionMask(camera, away < radius)
+
+
+NONE = np.zeros((0, 3)), np.zeros(0)  # points, and distances to them
+
+
+@pytest.fixture(scope="module")
+def bounds() -> Bounds:
+    """The box of the ball before four cameras, by their masks alone."""
+    fixed = ring(4, 2.2)
+    return scene_bounds(fixed, fixed, *NONE, [ball_mask(c) for c in fixed])
 
 
 def in_box(bounds, points: np.ndarray) -> np.ndarray:
@@ -88,7 +98,7 @@ def test_far_is_what_the_sweep_has_seen():
 
 
 def test_up_is_up():
-    bounds = scene_bounds(ring(12, 5.0), [], np.zeros((0, 3)), np.zeros(0))
+    bounds = scene_bounds(ring(12, 5.0), [], *NONE)
     z = bounds.box_from_world[2, :3]
     np.testing.assert_allclose(z / np.linalg.norm(z), [0, 0, 1], atol=0.02)
     R = bounds.box_from_world[:3, :3] / np.cbrt(np.linalg.det(bounds.box_from_world[:3, :3]))
@@ -110,9 +120,9 @@ def test_forward_facing_cameras_are_told_apart():
     cameras = [
         camera_at(np.array([x, -3.0, 0.2]), np.array([x, 0.0, 0.0])) for x in np.linspace(-0.5, 0.5, 6)
     ]
-    assert scene_bounds(cameras, [], np.zeros((0, 3)), np.zeros(0)).kind == "forward"
+    assert scene_bounds(cameras, [], *NONE).kind == "forward"
     with pytest.raises(ValueError, match="without cameras"):
-        scene_bounds([], [], np.zeros((0, 3)), np.zeros(0))
+        scene_bounds([], [], *NONE)
 
 
 def test_focus_ignores_a_camera_that_looks_away():
@@ -226,7 +236,7 @@ def two_movers(fixed: list[Camera], second: np.ndarray, radius: float) -> list[M
 def test_the_box_holds_a_small_mover_beside_a_large_one() -> None:
     """A third as wide, a thirtieth of the volume."""
     fixed, second, radius = ring(5, 2.6), np.array([0.75, 0.1, 0.0]), RADIUS / 3
-    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), two_movers(fixed, second, radius))
+    bounds = scene_bounds(fixed, fixed, *NONE, two_movers(fixed, second, radius))
     ends = second + radius * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert (np.abs(in_box(bounds, ends)) <= bounds.aabb[1]).all()
 
@@ -260,8 +270,7 @@ def test_a_box_is_drawn_in_no_further_than_its_voxels_need() -> None:
     masks = [ball_mask(c, np.array([x, 0.0, 0.0]), 0.3) for c, x in zip(fixed, (0, 0.1, 0.1, 0), strict=True)]
 
     def sides(across: float) -> np.ndarray:
-        none = np.zeros((0, 3)), np.zeros(0)
-        return scene_bounds(fixed, fixed, *none, masks, across=across).size
+        return scene_bounds(fixed, fixed, *NONE, masks, across=across).size
 
     # A picture is 2.2 wide where the ball is: mean sides are 0.77, 0.81 and 0.83, of which a margin is a part.
     smallest, between, whole = (sides(across) for across in (0.0, 0.37, 1.0))
@@ -272,7 +281,7 @@ def test_a_box_is_drawn_in_no_further_than_its_voxels_need() -> None:
 def test_where_light_alone_changes_the_box_is_what_masks_agree_on() -> None:
     fixed = ring(4, 2.2)
     masks = [MotionMask(c, ball_mask(c).mask, pattern=np.zeros((c.height, c.width), bool)) for c in fixed]
-    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    bounds = scene_bounds(fixed, fixed, *NONE, masks)
     assert np.isfinite(bounds.aabb).all() and np.isfinite(bounds.box_from_world).all()
     assert (np.abs(in_box(bounds, BALL[None])) <= bounds.aabb[1]).all() and (bounds.size < 8 * RADIUS).all()
 
@@ -298,7 +307,7 @@ def test_a_shadow_as_small_is_no_mover() -> None:
         MotionMask(m.camera, m.mask, pattern=ball_mask(m.camera, np.zeros(3)).mask)
         for m in two_movers(fixed, second, radius)
     ]
-    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    bounds = scene_bounds(fixed, fixed, *NONE, masks)
     assert np.abs(in_box(bounds, second[None])).max() > 1.0
 
 
@@ -311,15 +320,14 @@ def test_a_flat_mover_has_a_voxel_of_margin() -> None:
         u, v = camera.project(lying).astype(int).T
         mask[v, u] = True
         masks.append(MotionMask(camera, binary_dilation(mask, np.ones((5, 5)))))
-    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
+    bounds = scene_bounds(fixed, fixed, *NONE, masks)
     assert (np.abs(in_box(bounds, lying)).max(0) <= bounds.aabb[1] - 0.9 * VOXEL).all()
 
 
-def test_a_mover_beyond_the_box_is_found_with_its_place() -> None:
+def test_a_mover_beyond_the_box_is_found_with_its_place(bounds: Bounds) -> None:
     """Somebody walks past one camera, at its upper left; what only darkens there is nobody."""
     fixed = ring(4, 2.2)
     masks = [ball_mask(c) for c in fixed]
-    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
     box = bounds.box_from_world, bounds.aabb
     assert all(cut_off(m, *box) is None for m in masks)
     passed = masks[1].mask.copy()
@@ -388,8 +396,6 @@ def test_silhouettes_that_are_cut_by_the_border_leave_the_box_tight() -> None:
         (ring(2, 1.0, 2.8), False),  # two pictures
     ],
 )
-def test_a_sweep_comes_near_the_box_or_does_not(sweep: list[Camera], near: bool) -> None:
-    fixed = ring(4, 2.2)
-    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), [ball_mask(c) for c in fixed])
-    left = not_swept(sweep, fixed, bounds.box_from_world, bounds.aabb)
+def test_a_sweep_comes_near_the_box_or_does_not(bounds: Bounds, sweep: list[Camera], near: bool) -> None:
+    left = not_swept(sweep, ring(4, 2.2), bounds.box_from_world, bounds.aabb)
     assert left < 0.1 if near else left > 0.9

@@ -42,10 +42,16 @@ SPANS = {f"cam{i}": (0.0, SECONDS - 1 / FPS) for i in range(3)}
 OFFSETS_S = (0.0, 0.1237, -0.2081)
 
 
-def test_flashes_to_a_fraction_of_a_frame(tmp_path):
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Brightness]:
+    """The flashes, seen by three cameras."""
+    return clips(tmp_path_factory.mktemp("flashes"), OFFSETS_S)
+
+
+def test_flashes_to_a_fraction_of_a_frame(filmed: dict[str, Brightness]):
     """Four flashes, readout given: bands of 20 / 24 ms, four flashes, both edges of each: below half a
     millisecond; and the statement of doubt holds (three standard deviations)."""
-    extras = Extras(clips(tmp_path, OFFSETS_S), readout_s=dict.fromkeys(SPANS, 0.02))
+    extras = Extras(filmed, readout_s=dict.fromkeys(SPANS, 0.02))
     result = synchronise(SPANS, {}, {}, "flash", extras=extras)
     for name, offset_s in list(zip(SPANS, OFFSETS_S, strict=True))[1:]:
         clock = result.cameras[name]
@@ -77,9 +83,9 @@ def test_a_lamp_switched_on(tmp_path):
 
 
 def test_stated_doubt_covers_the_error():
-    """Row brightness without a codec, 60 pairs: errors within two standard deviations in at least 90 %."""
+    """Row brightness without a codec, 40 pairs: errors within two standard deviations in at least 90 %."""
     inside = 0
-    for seed in range(60):
+    for seed in range(40):
         rng = np.random.default_rng(seed)
         offset_s, flashes_s = rng.uniform(-0.3, 0.3), np.sort(rng.uniform(0.5, 3.4, rng.integers(1, 5)))
         courses = []
@@ -92,15 +98,14 @@ def test_stated_doubt_covers_the_error():
         found = flash_delay(*(find_flashes(c) for c in courses))
         assert found is not None
         inside += abs(found.delay_s - offset_s) < 2 * found.std_s
-    assert inside >= 54
+    assert inside >= 36
 
 
 @pytest.mark.full
-def test_a_flash_that_one_camera_did_not_see(tmp_path):
-    courses = clips(tmp_path, OFFSETS_S[:2])
+def test_a_flash_that_one_camera_did_not_see(filmed: dict[str, Brightness], tmp_path):
     path = film_flashes(tmp_path / "cam2.mp4", RollingShutter(OFFSETS_S[2]), (), seed=2)
-    courses["cam2"] = seen(path, tmp_path / "ingest")
-    result = synchronise(SPANS, {}, {}, "flash", extras=Extras(courses))
+    blind = filmed | {"cam2": seen(path, tmp_path / "ingest")}
+    result = synchronise(SPANS, {}, {}, "flash", extras=Extras(blind))
     assert result.cameras["cam1"].confidence > 0.5 and result.cameras["cam2"].confidence == 0
     assert any(n.startswith("camera cam2: saw no flash") for n in result.notes)
 

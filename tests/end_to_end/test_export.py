@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.script import centres
 from scipy.spatial import KDTree
 from tests.conftest import ExampleRun
 from tests.make.glb import read_glb
@@ -30,12 +31,7 @@ def test_the_sheet_that_moves_is_where_it_was(whole_run: ExampleRun, tmp_path: P
 
     scene, file = read_scene(whole_run.run_dir / "scene"), whole_run.scene.parent / "ground_truth.json"
     truth, thing = read_truth(file), json.loads(file.read_text())["object"]
-    fixed = {f.camera_name: f.camera for f in scene.dynamic}
-    pairs = [(truth.static[f.index], f.camera) for f in scene.static]
-    pairs += [(truth.cameras[name], camera) for name, camera in fixed.items()]
-    true_from_world = similarity(
-        np.array([c.centre for _, c in pairs]), np.array([pose[:3, 3] for pose, _ in pairs])
-    )
+    true_from_world = similarity(*centres(scene, truth))
     assert np.cbrt(np.linalg.det(true_from_world[:3, :3])) == pytest.approx(1, abs=0.01)  # metres
     points, times = np.array(thing["points_m"]), np.array(thing["times_s"])
     true = np.stack(

@@ -14,6 +14,7 @@ from tests.refused import refused
 from devrf.capture.errors import InputError
 from devrf.lab.simulate.scenes.catalogue import Mesh
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.session.camera_rig import BOARD_SQUARES
 from devrf.lab.simulate.session.moved import ways
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.lab.simulate.session.sound import SAMPLE_RATE_HZ, SPEED_OF_SOUND_M_S
@@ -74,7 +75,7 @@ def test_truth_has_what_the_contract_names(session: Path) -> None:
         assert abs(camera["drift_ppm"]) <= TINY.drift_range_ppm
     assert truth["cams"]["cam0"]["offset_s"] == truth["cams"]["cam0"]["drift_ppm"] == 0
     assert truth["cams"]["witness"]["offset_s"] != 0 and truth["cams"]["witness"]["drift_ppm"] != 0
-    assert truth["board"]["squares"] == list(TINY.board_squares)
+    assert truth["board"]["squares"] == list(BOARD_SQUARES)
 
 
 def test_scene_yaml_names_files_that_exist(session: Path) -> None:

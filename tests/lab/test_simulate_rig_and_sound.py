@@ -6,7 +6,13 @@ import pytest
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.scenes.catalogue import CENTRE, ROOM_HALF_M
 from devrf.lab.simulate.scenes.session_options import SessionOptions
-from devrf.lab.simulate.session.camera_rig import board_pose, fixed_cameras, sweep_cameras
+from devrf.lab.simulate.session.camera_rig import (
+    BOARD_SQUARE_M,
+    BOARD_SQUARES,
+    board_pose,
+    fixed_cameras,
+    sweep_cameras,
+)
 from devrf.lab.simulate.session.simulate_session import clapper_distance_m
 from devrf.lab.simulate.session.sound import (
     SAMPLE_RATE_HZ,
@@ -52,8 +58,8 @@ def test_sweep_goes_all_around_at_two_heights_and_sees_the_board() -> None:
     angles = np.sort(np.arctan2(centres[:60, 1], centres[:60, 0]))
     assert np.degrees(np.diff(angles)).max() < 16
     assert (centres[:, 2] < 1.05).sum() >= 25 and (centres[:, 2] > 1.5).sum() >= 25
-    pose = board_pose(OPTIONS)
-    half = np.array([*OPTIONS.board_squares, 0]) * OPTIONS.board_square_m / 2
+    pose = board_pose()
+    half = np.array([*BOARD_SQUARES, 0]) * BOARD_SQUARE_M / 2
     middle = pose[:3, :3] @ half + pose[:3, 3]
     pixels = np.array([c.project(middle) for c in sweep])
     ways = np.array([(middle - c.centre) / np.linalg.norm(middle - c.centre) for c in sweep])

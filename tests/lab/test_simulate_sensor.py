@@ -21,7 +21,6 @@ from devrf.lab.simulate.render.sensor import (
     expose,
 )
 from devrf.lab.simulate.scenes.catalogue import picture_on_quad
-from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.camera_rig import board_pose
 
 SQUARES, SQUARE_M = (8, 6), 0.06
@@ -67,7 +66,7 @@ def test_board_pictures_show_corners_where_the_camera_projects_them() -> None:
 
 def test_rendered_board_agrees_with_exact_board_through_a_distorting_lens() -> None:
     pytest.importorskip("mitsuba")
-    world_from_board = board_pose(SessionOptions())
+    world_from_board = board_pose()
     middle = board_corners(SQUARES, SQUARE_M, world_from_board).mean(0)
     camera = _camera(k1=-0.2)
     pose = look_at(middle + [-0.5, 0.25, 0.15], middle, roll_deg=7.0)

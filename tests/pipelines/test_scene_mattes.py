@@ -12,7 +12,7 @@ import pytest
 from tests.judged import fired, judged, named
 from tests.refused import refused
 
-from devrf.calibration.bounds import scene_bounds
+from devrf.calibration.bounds import Bounds, scene_bounds
 from devrf.calibration.colour.match import Apart
 from devrf.calibration.colour.result import Colours
 from devrf.calibration.motion_masks import MotionMask
@@ -254,12 +254,19 @@ def _mattes(session: Session, capture: dict[str, object], scene: Scene) -> Any:
     return scene_mattes(context, frames, scene.static, scene.dynamic, lambda done, text: None)
 
 
-def test_changes_outside_the_box_and_blind_corners() -> None:
-    fixed = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
-    moves = {f"cam{n}": MotionMask(c, ball(c, BALL)) for n, c in enumerate(fixed)}
-    masks = list(moves.values())
-    bounds = scene_bounds(fixed, fixed, np.zeros((100, 3)), np.full(100, 2.5), masks)
-    frames = session_frames(fixed)
+FIXED = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
+
+
+@pytest.fixture(scope="module")
+def bounds() -> Bounds:
+    """The box of the ball before four fixed cameras."""
+    masks = [MotionMask(c, ball(c, BALL)) for c in FIXED]
+    return scene_bounds(FIXED, FIXED, np.zeros((100, 3)), np.full(100, 2.5), masks)
+
+
+def test_changes_outside_the_box_and_blind_corners(bounds: Bounds) -> None:
+    moves = {f"cam{n}": MotionMask(c, ball(c, BALL)) for n, c in enumerate(FIXED)}
+    masks, frames = list(moves.values()), session_frames(FIXED)
     assert fired(box_measures(bounds, moves, None, frames)) == {}
 
     passer = masks[2].mask.copy()
@@ -269,18 +276,17 @@ def test_changes_outside_the_box_and_blind_corners() -> None:
     assert list(found) == ["box-unexplained cam2", "box-cuts cam2"]
     assert all("cam2" in row.remedy for row in found.values())
 
-    away = [fixed[0], *(turned_away(c) for c in fixed[1:])]
+    away = [FIXED[0], *(turned_away(c) for c in FIXED[1:])]
     assert "box-one-sided" in fired(box_measures(bounds, moves, None, session_frames(away)))
 
 
 @pytest.mark.parametrize(("distance", "verdict"), [(2.5, "ok"), (12.0, "warn")])
-def test_a_sweep_that_did_not_come_near_the_box_is_said(distance: float, verdict: str) -> None:
+def test_a_sweep_that_did_not_come_near_the_box_is_said(
+    bounds: Bounds, distance: float, verdict: str
+) -> None:
     """Fixed cameras stand 2.5 m away; from 12 m a pixel of the sweep covers several of theirs."""
-    fixed = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
-    masks = [MotionMask(c, ball(c, BALL)) for c in fixed]
-    bounds = scene_bounds(fixed, fixed, np.zeros((0, 3)), np.zeros(0), masks)
     ring = session_frames([look_at(a, distance=distance) for a in np.linspace(0, 6, 10)])
-    row = judged(box_measures(bounds, {}, None, session_frames(fixed), ring))["box-not-swept"]
+    row = judged(box_measures(bounds, {}, None, session_frames(FIXED), ring))["box-not-swept"]
     assert row.verdict == verdict and bool(row.remedy) == (verdict == "warn")
 
 

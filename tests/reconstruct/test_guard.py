@@ -19,6 +19,7 @@ from devrf.pipelines.health.judge import judge
 from devrf.pipelines.health.training import contradicted_measures, restart_measures
 from devrf.reconstruct import fine_tune as fine_tuning
 from devrf.reconstruct.guard import MOST, SMALLER, Guard
+from devrf.reconstruct.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.rest_model import RestModel
 from devrf.reconstruct.train_canonical import _Recipe as RestRecipe
@@ -31,6 +32,18 @@ QUICK = replace(REST, iterations=30, scale_at=(0.5,), occupancy_every=10)
 MOTION = MotionOptions(
     levels=(4,), iterations=(25,), rays=300, importance=0.7, lr=6e-3, most_keys=3, weight_threshold=1e-3
 )
+
+
+@pytest.fixture(scope="module")
+def good_rest(ball) -> RestModel:
+    """Trained with steps of the right size."""
+    return train_canonical(ball.scene, QUICK)
+
+
+@pytest.fixture(scope="module")
+def good_motion(ball, rest: RestModel) -> tuple[MotionField, dict[str, Any]]:
+    """The same of the motion, and what training measured."""
+    return train_motion(ball.scene, rest, {}, MOTION)
 
 
 def _losses(guard: Guard, *losses: float) -> list[bool]:
@@ -144,9 +157,11 @@ def test_a_good_point_remembers_how_low_the_loss_was_there() -> None:
     assert _losses(guard, *[2.1] * 5)[-1]
 
 
-def test_a_leap_is_not_kept_as_a_good_point(ball, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_leap_is_not_kept_as_a_good_point(
+    ball, good_rest: RestModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Filled two steps before the point at iteration 10, between two looks."""
-    good, step, steps = train_canonical(ball.scene, QUICK), RestRecipe.step, count(1)
+    step, steps = RestRecipe.step, count(1)
 
     def filled(recipe: RestRecipe, *args: Any) -> dict[str, torch.Tensor]:
         parts = step(recipe, *args)
@@ -157,7 +172,9 @@ def test_a_leap_is_not_kept_as_a_good_point(ball, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(RestRecipe, "step", filled)
     caught = train_canonical(ball.scene, QUICK)
     assert caught.metrics["restarts"] == 1
-    assert caught.metrics["train_psnr"] > good.metrics["train_psnr"] - 3  # so few steps, and now smaller ones
+    assert (
+        caught.metrics["train_psnr"] > good_rest.metrics["train_psnr"] - 3
+    )  # so few steps, and now smaller ones
 
 
 def test_cameras_that_take_turns_may_differ(ball, rest: RestModel, tmp_path: Path) -> None:
@@ -175,15 +192,14 @@ def test_cameras_that_take_turns_may_differ(ball, rest: RestModel, tmp_path: Pat
 
 @pytest.mark.full
 def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
-    ball, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ball, good_rest: RestModel, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As well as with the right ones, to 1.5 dB; and bit by bit the same if it is killed on the way."""
-    good = train_canonical(ball.scene, QUICK)
-    assert good.metrics["restarts"] == 0
+    assert good_rest.metrics["restarts"] == 0
     wild = replace(QUICK, learning_rate=30 * QUICK.learning_rate)
     caught = train_canonical(ball.scene, wild)
     assert caught.metrics["restarts"] >= 1 and "0.33 times" in caplog.text
-    assert caught.metrics["train_psnr"] > good.metrics["train_psnr"] - 1.5
+    assert caught.metrics["train_psnr"] > good_rest.metrics["train_psnr"] - 1.5
     deaths = {("", done) for done in (2, 4, 11, 17)}
     again = until_done(lambda state: train_canonical(ball.scene, wild, checkpoint=state), tmp_path, deaths)
     assert torch.equal(caught.canonical.density, again.canonical.density)
@@ -191,8 +207,10 @@ def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
 
 
 @pytest.mark.full
-def test_motion_comes_through_steps_a_hundred_times_too_large(ball, rest: RestModel, tmp_path: Path) -> None:
-    _, good = train_motion(ball.scene, rest, {}, MOTION)
+def test_motion_comes_through_steps_a_hundred_times_too_large(
+    ball, rest: RestModel, good_motion: tuple[MotionField, dict[str, Any]], tmp_path: Path
+) -> None:
+    _, good = good_motion
     assert good["restarts"] == good["keys_left"] == 0
     wild = replace(MOTION, lr=100 * MOTION.lr)
     motion, caught = train_motion(ball.scene, rest, {}, wild)
@@ -214,9 +232,12 @@ def test_fine_tuning_goes_back_to_the_scene_at_rest(ball, rest: RestModel) -> No
 
 @pytest.mark.full
 def test_losses_that_double_by_chance_change_nothing(
-    ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
+    ball,
+    rest: RestModel,
+    good_motion: tuple[MotionField, dict[str, Any]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    motion, _ = train_motion(ball.scene, rest, {}, MOTION)
+    motion, _ = good_motion
     monkeypatch.setattr("devrf.reconstruct.guard.RUNAWAY", 0.0)
     again, metrics = train_motion(ball.scene, rest, {}, MOTION)
     assert metrics["restarts"] == metrics["keys_left"] == 0 and torch.equal(motion.backward, again.backward)

@@ -14,7 +14,7 @@ from devrf.calibration.boards.calibrate import FIVE_COEFFICIENTS, calibrate_intr
 from devrf.calibration.boards.find import BoardSpec, BoardView, find_board
 from devrf.calibration.rigs.board_route import TimedView, rig_from_board
 from devrf.calibration.rigs.given import read_given
-from devrf.lab.bench.accuracy.cases import Cases, not_there
+from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.accuracy.simulated_boards import FOCAL, SIZE, SPEC, board_views
 from devrf.lab.bench.bench_rows import Row
 
@@ -43,8 +43,7 @@ def boards(cases: Cases) -> list[Row]:
     """Errors, focal lengths with their doubt, boards found, and whether the doubt is honest."""
     rows: list[Row] = []
     for name, measure in ((STEREO, _stereo), (POSE2SIM, _pose2sim), (CALISCOPE, _caliscope)):
-        folder, prefix = cases.real(name), f"boards/{name}"
-        rows += [not_there(prefix, "px", name)] if folder is None else measure(prefix, folder)
+        rows += cases.measured(name, f"boards/{name}", "px", measure)
     return rows + _simulated()
 
 

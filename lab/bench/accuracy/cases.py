@@ -1,6 +1,6 @@
 """What a part of an accuracy benchmark gets, and how the parts become one table."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -29,6 +29,13 @@ class Cases:
         """The folder of a real capture; None where it is not there."""
         folder = None if self.data is None else self.data / name
         return folder if folder is not None and folder.is_dir() else None
+
+    def measured(
+        self, capture: str, name: str, unit: str, measure: Callable[[str, Path], list[Row]]
+    ) -> list[Row]:
+        """What is measured of a real capture, given `name` and its folder; a row that says so where it is missing."""
+        folder = self.real(capture)
+        return [not_there(name, unit, capture)] if folder is None else measure(name, folder)
 
     def folder(self, name: str) -> Path:
         """A part's own folder in `out`, made where it is not there."""

@@ -9,6 +9,7 @@ found from the board's motion.
 
 import csv
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import FrameSet
-from devrf.lab.bench.accuracy.cases import Cases, not_there
+from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.accuracy.synthetic_rig import (
     SPEC,
     SyntheticRig,
@@ -45,6 +46,7 @@ from devrf.pipelines.stages import STAGES
 
 SESSIONS = {"caliscope_charuco_calibration": (54.08, 0.44), "caliscope_post_optimization": (53.58, 0.47)}
 """Median and spread of held-out lengths that caliscope reaches, mm."""
+EXTRINSIC = "calibration/extrinsic"
 CALISCOPE = "caliscope's camera_array.toml, corners triangulated as if its pictures were simultaneous"
 BOARD = {
     "type": "charuco", "squares": [4, 5], "square_m": 0.054, "marker_m": 0.0405, "dictionary": "DICT_4X4_1000",
@@ -64,8 +66,7 @@ def rigs(cases: Cases) -> list[Row]:
     """Held-out lengths and poses of the real captures; positions and rotations of the simulated rig."""
     rows: list[Row] = []
     for name in SESSIONS:
-        folder = cases.real(name)
-        rows += [not_there(f"rigs/{name}", "mm", name)] if folder is None else _session(cases, name, folder)
+        rows += cases.measured(name, f"rigs/{name}", "mm", partial(_session, cases))
     for case, (claim, middle_px) in CLAIMS.items():
         rows += _simulated(f"rigs/simulated, {case}", claim, middle_px)
     return rows
@@ -73,10 +74,8 @@ def rigs(cases: Cases) -> list[Row]:
 
 def run_caliscope(work: Path, folder: Path, last: str, more: Mapping[str, Any], talk: Talk) -> Run:
     """A capture of caliscope's as a user would describe it, through the stages up to `last`."""
-    extrinsic = folder / "calibration" / "extrinsic"
-    clips = {f"cam{n}": str(extrinsic / f"cam_{n}.mp4") for n in range(4)}
-    _write_times(extrinsic / "timestamps.csv", work / "times.csv")
-    capture = {"cameras": clips, "timestamps": "times.csv"} | more.get("capture", {})
+    _write_times(folder / EXTRINSIC / "timestamps.csv", work / "times.csv")
+    capture = {"cameras": _clips(folder), "timestamps": "times.csv"} | more.get("capture", {})
     content = {"name": folder.name, "output": "run", "preset": "tiny", **more, "capture": capture}
     (work / "scene.yaml").write_text(yaml.safe_dump(content))
     config, scene_dir = configured(work, None, None)
@@ -85,6 +84,10 @@ def run_caliscope(work: Path, folder: Path, last: str, more: Mapping[str, Any], 
         text = f"{folder.name}: a stage up to {last} failed; see {run.run_dir}/devrf.log"
         raise CalibrationError("stage-failed", text)
     return run
+
+
+def _clips(folder: Path) -> dict[str, str]:
+    return {f"cam{n}": str(folder / EXTRINSIC / f"cam_{n}.mp4") for n in range(4)}
 
 
 def _write_times(table: Path, out: Path) -> None:
@@ -96,8 +99,8 @@ def _write_times(table: Path, out: Path) -> None:
     out.write_text("\n".join(["camera,frame_index,time_s", *lines]) + "\n")
 
 
-def _session(cases: Cases, name: str, folder: Path) -> list[Row]:
-    seen = _joint_views(cases, name, folder)
+def _session(cases: Cases, prefix: str, folder: Path) -> list[Row]:
+    seen = _joint_views(cases.folder(prefix), folder, cases.talk)
     sizes = {n: (k.width, k.height) for n, k in seen.start.items()}
     given = read_given(folder / "camera_array.toml", list(seen.views), sizes)
     if given.rig is None:
@@ -106,7 +109,7 @@ def _session(cases: Cases, name: str, folder: Path) -> list[Row]:
     fit, held = hold_out(seen.views)
     ours = rig_from_board(fit, seen.spec, seen.start, seen.known)
     theirs = rig_from_board(fit, seen.spec, given.intrinsics, given.intrinsics)
-    at_once, prefix = dict.fromkeys(seen.views, 0.0), f"rigs/{name}"
+    at_once = dict.fromkeys(seen.views, 0.0)
     rows = []
     for how, cameras, timed in (
         ("times found", ours.cameras, True),
@@ -116,7 +119,7 @@ def _session(cases: Cases, name: str, folder: Path) -> list[Row]:
     ):
         check = check_rig(cameras, ours.delay_s if timed else at_once, held, seen.spec, timed=timed)
         if check is not None:
-            rows += _lengths(f"{prefix}/{how}", check, *SESSIONS[name], judged=how == "times found")
+            rows += _lengths(f"{prefix}/{how}", check, *SESSIONS[folder.name], judged=how == "times found")
     timing = ours.solution.problem.timing
     assert timing is not None
     worst = max(ours.delay_s.values(), key=abs)
@@ -130,10 +133,9 @@ def _session(cases: Cases, name: str, folder: Path) -> list[Row]:
     ]
 
 
-def _joint_views(cases: Cases, name: str, folder: Path) -> JointViews:
-    clips = {f"cam{n}": str(folder / "calibration" / "extrinsic" / f"cam_{n}.mp4") for n in range(4)}
-    board = {"capture": {"board": BOARD | {"joint_clips": clips}}}
-    run = run_caliscope(cases.folder(f"rigs/{name}"), folder, "sync", board, cases.talk)
+def _joint_views(work: Path, folder: Path, talk: Talk) -> JointViews:
+    board = {"capture": {"board": BOARD | {"joint_clips": _clips(folder)}}}
+    run = run_caliscope(work, folder, "sync", board, talk)
     spec = board_spec(run.config)
     assert spec is not None
     frames = FrameSet.read(run.run_dir / "ingest")

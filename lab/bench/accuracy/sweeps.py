@@ -7,6 +7,7 @@ length against its K.txt, which is the EXIF focal length over the sensor's width
 import json
 import shutil
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from devrf.capture.frames import SWEEP
 from devrf.capture.ingest import write_frames
 from devrf.capture.photo_folders import list_pictures
 from devrf.capture.session import CaptureSession
-from devrf.lab.bench.accuracy.cases import Cases, not_there
+from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.config.scene import StaticPosesConfig
 from devrf.pipelines.stages.static_poses import recover_sweep
@@ -32,22 +33,22 @@ OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 def sweeps(cases: Cases) -> list[Row]:
     """Registered pictures, rotation, focal length, time, pairs and mapper of both sets."""
     rows: list[Row] = []
-    for name, pictures in PICTURES.items():
-        folder, at = cases.real(name), f"sweeps/{name}"
-        if folder is None:
-            rows.append(not_there(at, "", name))
-            continue
-        model, seconds = _recover(cases.folder(at), folder / "images")
-        report = model.report
-        rows += [
-            Row(f"{at}/registered", float(len(model.names)), f"of {pictures}").at_least(pictures),
-            Row(f"{at}/reprojection error", report["mean_reprojection_px"], "px"),
-            *(_fox if name == "fox_static" else _sceaux)(at, folder, model),
-            Row(f"{at}/time", seconds, "s"),
-            Row(f"{at}/pairs matched", float(report["pairs"]["matched"]), ""),
-            Row(f"{at}/mapper: {report['mapper']}", float(len(report["attempts"])), "tried"),
-        ]
+    for name in PICTURES:
+        rows += cases.measured(name, f"sweeps/{name}", "", partial(_set, cases))
     return rows
+
+
+def _set(cases: Cases, at: str, folder: Path) -> list[Row]:
+    model, seconds = _recover(cases.folder(at), folder / "images")
+    report, pictures = model.report, PICTURES[folder.name]
+    return [
+        Row(f"{at}/registered", float(len(model.names)), f"of {pictures}").at_least(pictures),
+        Row(f"{at}/reprojection error", report["mean_reprojection_px"], "px"),
+        *(_fox if folder.name == "fox_static" else _sceaux)(at, folder, model),
+        Row(f"{at}/time", seconds, "s"),
+        Row(f"{at}/pairs matched", float(report["pairs"]["matched"]), ""),
+        Row(f"{at}/mapper: {report['mapper']}", float(len(report["attempts"])), "tried"),
+    ]
 
 
 def _recover(out: Path, photos: Path) -> tuple[SweepModel, float]:

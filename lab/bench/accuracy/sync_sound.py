@@ -5,7 +5,6 @@ microphones with echoes of their own, as loud together as the direct sound, and 
 times as strong as all of it (-10 dB). The true delay is no multiple of a sample.
 """
 
-from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -17,6 +16,7 @@ from devrf.calibration.clocks.sound import sound_delay
 from devrf.capture.audio import RATE_HZ, Sound, read_sound
 from devrf.lab.bench.accuracy.cases import Cases, not_there
 from devrf.lab.bench.bench_rows import Row
+from devrf.lab.simulate.render.sensor import encode_sound
 
 SEEDS = 12
 SECONDS = 12.0
@@ -112,11 +112,7 @@ def _written(path: Path, samples: Float[np.ndarray, " n"], codec: str) -> Sound:
         stream = container.add_stream(name, rate=RATE_HZ, layout="mono")
         if rate is not None:
             stream.bit_rate = rate
-        pcm = np.clip(np.round(32767 * samples), -32768, 32767).astype(np.int16)
-        for start in range(0, len(pcm), 1024):
-            block = av.AudioFrame.from_ndarray(pcm[None, start : start + 1024], format="s16", layout="mono")
-            block.sample_rate, block.pts, block.time_base = RATE_HZ, start, Fraction(1, RATE_HZ)
-            container.mux(stream.encode(block))
+        encode_sound(container, stream, np.clip(np.round(32767 * samples), -32768, 32767).astype(np.int16))
         container.mux(stream.encode(None))
     return _read(path)
 

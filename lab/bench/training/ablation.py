@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from devrf.lab.bench.bench_charts import cases
+from devrf.lab.bench.bench_charts import Curve, Panel, chart, seed_curves
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.bench.training.ablation_variants import VARIANTS, ablated
 from devrf.lab.bench.training.trainings import Bench, score_rows, spread
@@ -44,15 +44,14 @@ def run_ablation(
     results = _train_variants(bench, seeds, only)
     rows, (paper, _) = _rows(bench, results), _paper(bench)
     scene = bench.run.config.name
-    labels = {name: name if name in ("base", "c2f") else f"+{name}" for name in results}
-    chart = cases(
-        json_path.with_suffix(".png"),
-        {labels[name]: [r["test"]["psnr"] for r in found] for name, found in results.items()},
-        {labels[name]: paper[name]["psnr"] for name in results},
-        "PSNR of test views, dB",
-        f"{scene}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}",
-    )
-    return bench.publish(f"Ablation of {scene}", rows, json_path, seeds, chart, benchmark="ablation")
+    ticks = [name if name in ("base", "c2f") else f"+{name}" for name in results]
+    psnr = {n: [r["test"]["psnr"] for r in found] for n, found in enumerate(results.values())}
+    theirs = [(n + 0.2, paper[name]["psnr"]) for n, name in enumerate(results)]
+    curves = [*seed_curves("ours, mean", psnr), Curve("the paper (other data)", theirs, "paper")]
+    panel = Panel(curves, y_label="PSNR of test views, dB", ticks=ticks)
+    title = f"{scene}, {len(seeds)} seed{'s' if len(seeds) > 1 else ''}"
+    drawn = chart(json_path.with_suffix(".png"), [[panel]], title)
+    return bench.publish(f"Ablation of {scene}", rows, json_path, seeds, drawn, benchmark="ablation")
 
 
 def _train_variants(

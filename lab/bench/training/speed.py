@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from devrf.lab.bench.bench_charts import Curve, frontier_chart
+from devrf.lab.bench.bench_charts import Curve, Panel, chart
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.bench.training.progress_views import Looks
 from devrf.lab.bench.training.published import PUBLISHED
@@ -84,13 +84,13 @@ def run_speed(
     front = {axis: [one.case.name for one in pareto(found, axis)] for axis in AXES}
     for axis, names in front.items():
         bench.run.talk.say(f"not beaten by {axis} ({AXES[axis]}): {', '.join(names)}")
-    panels = {
-        y_label: {x_label: _panel(metric, axis, found) for axis, x_label in AXES.items()}
+    panels = [
+        [Panel(_curves(metric, axis, found), x_label, y_label, log=True) for axis, x_label in AXES.items()]
         for metric, y_label in METRICS.items()
         if all(one.result["test"][metric] is not None for one in found)
-    }
+    ]
     title = f"{bench.run.config.name}, {device_name(bench.run.device)}"
-    chart = frontier_chart(json_path.with_suffix(".png"), panels, title)
+    drawn = chart(json_path.with_suffix(".png"), panels, title, sharey="row", sharex="col")
     about = {
         "front": front,
         "set": {name: chosen.model_dump(exclude_none=True) for name, chosen in presets.items()},
@@ -98,7 +98,7 @@ def run_speed(
         "published": [vars(row) for row in PUBLISHED],
     }
     title, seeds = f"Speed and accuracy, {bench.run.config.name}", [bench.run.config.reconstruct.seed]
-    return bench.publish(title, rows, json_path, seeds, chart, benchmark="speed", **about)
+    return bench.publish(title, rows, json_path, seeds, drawn, benchmark="speed", **about)
 
 
 def pareto(found: Sequence[Measured], axis: str) -> list[Measured]:
@@ -175,9 +175,9 @@ def _against_reference(bench: Bench, found: Sequence[Measured]) -> list[Row]:
     return rows
 
 
-def _panel(metric: str, axis: str, found: Sequence[Measured]) -> list[Curve]:
+def _curves(metric: str, axis: str, found: Sequence[Measured]) -> list[Curve]:
     """Our cases on an axis; with PSNR also how they got there, those not beaten as a line, and published ones."""
-    curves = [Curve(one.case.name, [(one.on(axis), one.result["test"][metric])], "ours") for one in found]
+    curves = [Curve(one.case.name, [(one.on(axis), one.result["test"][metric])], "result") for one in found]
     if metric != "psnr":
         return curves
     if axis == "seconds":

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from devrf.lab.bench.bench_charts import lines
+from devrf.lab.bench.bench_charts import Panel, chart, seed_curves
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.bench.training.trainings import Bench, score_rows
 
@@ -30,14 +30,18 @@ def run_views(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
         "where it moves": lambda r: r["test_moving"],
         "where it moves, at rest": lambda r: r["static_baseline"]["test_moving"],
     }
-    series = {
-        name: {n: [of(r)["psnr"] for r in found] for n, found in results.items()}
+    curves = [
+        curve
         for name, of in blocks.items()
-    }
-    chart = lines(json_path.with_suffix(".png"), series, "moving cameras", "PSNR of test views, dB", scene)
+        for curve in seed_curves(
+            name, {n - 1: [of(r)["psnr"] for r in found] for n, found in results.items()}
+        )
+    ]
+    panel = Panel(curves, "moving cameras", "PSNR of test views, dB", ticks=[str(n) for n in results])
+    drawn = chart(json_path.with_suffix(".png"), [[panel]], scene)
     bench.run.talk.say(PAPER)
     title = f"Number of moving cameras, {scene}"
-    return bench.publish(title, rows, json_path, seeds, chart, benchmark="views", cameras=cameras)
+    return bench.publish(title, rows, json_path, seeds, drawn, benchmark="views", cameras=cameras)
 
 
 def _trained(bench: Bench, seed: int, cameras: Sequence[str]) -> dict:

@@ -34,5 +34,3 @@ class ForwardOptions(_SharedOptions):
     """Times of the moving scene, evenly from 0 (at rest) to 1."""
     spread: float = Field(default=0.8, ge=0.2, le=1.5)
     """Width of the region that the cameras stand in, world units; its height is 0.6 of it."""
-    wobble_deg: float = Field(default=2.0, ge=0, le=5)
-    """Largest turn of a camera of the sweep away from straight ahead, degrees."""

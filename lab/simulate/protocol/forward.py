@@ -37,6 +37,7 @@ WALL_Y = 1.6  # behind everything that moves
 WALL_HALF = 6.5  # covers the view of pictures whose sides differ up to twofold
 WALL_TEXEL = 0.012
 WALL = Paint((150, 160, 170), 38.0)
+WOBBLE_DEG = 2.0  # largest turn of a camera of the sweep away from straight ahead
 MARGIN = 0.75  # of the nearest depth; LLFF's bd_factor
 # Places of the fixed cameras in the region, from -1 to 1: right and up.
 TEST_PLACE = (0.1, -0.05)
@@ -194,7 +195,7 @@ def _sweep_camera(seed: int, number: int, size: tuple[int, int], options: Forwar
     x = 2 * (column + 0.5) / columns - 1
     y = 2 * (row + 0.5) / rows - 1
     place = np.array([x if row % 2 == 0 else -x, y]) + rng.uniform(-0.1, 0.1, 2)
-    return _camera(size, options, place, options.wobble_deg * rng.uniform(-1, 1, 2))
+    return _camera(size, options, place, WOBBLE_DEG * rng.uniform(-1, 1, 2))
 
 
 def _camera(size: tuple[int, int], options: ForwardOptions, place: np.ndarray, aim_deg: np.ndarray) -> Camera:

@@ -128,6 +128,17 @@ def board_poses(
     return poses
 
 
+def encode_sound(container: Any, stream: Any, samples: Int[np.ndarray, " n"]) -> None:
+    """Encode 16 bit mono into a stream of an open container; the first sample is at file time 0."""
+    import av
+
+    for start in range(0, len(samples), SOUND_BLOCK):
+        block = samples[start : start + SOUND_BLOCK].astype(np.int16)[None]
+        frame = av.AudioFrame.from_ndarray(block, format="s16", layout="mono")
+        frame.sample_rate, frame.pts, frame.time_base = stream.rate, start, Fraction(1, stream.rate)
+        container.mux(stream.encode(frame))
+
+
 class ClipWriter:
     """Writes one mp4: H.264 (yuv420p, BT.601) with true presentation times, and AAC sound."""
 
@@ -161,12 +172,7 @@ class ClipWriter:
 
     def sound(self, samples: Int[np.ndarray, " n"]) -> None:
         """Add all sound: 16 bit mono; the first sample is at file time 0."""
-        rate = self._sound.rate
-        for start in range(0, len(samples), SOUND_BLOCK):
-            block = samples[start : start + SOUND_BLOCK].astype(np.int16)[None]
-            frame = self._av.AudioFrame.from_ndarray(block, format="s16", layout="mono")
-            frame.sample_rate, frame.pts, frame.time_base = rate, start, Fraction(1, rate)
-            self._container.mux(self._sound.encode(frame))
+        encode_sound(self._container, self._sound, samples)
 
     def close(self) -> None:
         """Write what is still buffered."""

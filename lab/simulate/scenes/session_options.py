@@ -36,14 +36,10 @@ class SessionOptions(BaseModel):
     """Azimuth of the fixed cameras' middle, degrees; the witness stays where it is at 0."""
     camera_distance_m: float = Field(default=1.65, ge=1.0, le=1.8)
     """Distance of the fixed cameras from where the hands clap, before jitter."""
-    jitter_m: float = Field(default=0.03, ge=0, le=0.1)
-    """Largest deviation of a camera from its even place."""
     offset_range_s: float = Field(default=0.15, ge=0, le=10)
     """Clips start within this time before or after cam0's, to a fraction of a frame."""
     drift_range_ppm: float = Field(default=60.0, ge=0, le=5000)
     """Largest deviation of a clock from cam0's rate, parts per million."""
-    fov_deg: float = Field(default=60.0, ge=20, le=90)
-    """Width of the fixed cameras' view, degrees, before jitter of 1.5 %; the sweep's is a tenth wider."""
     k1: float = Field(default=-0.06, ge=-0.2, le=0.2)
     """First radial distortion coefficient, before jitter of 20 %."""
     gain_range: float = Field(default=0.06, ge=0, le=0.9)
@@ -73,17 +69,9 @@ class SessionOptions(BaseModel):
     """Quality of the H.264 pictures: 0 is lossless, 17 is very good, 35 is poor."""
     claps: int = Field(default=5, ge=0, le=100)
     """Claps at irregular times within what all cameras record."""
-    sound_noise: float = Field(default=0.01, ge=0, le=10)
-    """Standard deviation of the background noise, relative to a clap's peak."""
-    reverb: float = Field(default=0.25, ge=0, le=1)
-    """Loudness of the first echo, relative to the clap."""
     sound: bool = True
     """Whether the clips carry sound at all."""
     board: bool = True
     """Whether there is a ChArUco board: a clip per camera, and standing in the room."""
     board_frames: int = Field(default=18, ge=4, le=500)
     """Pictures of every board clip."""
-    board_squares: tuple[int, int] = (8, 6)
-    """Columns and rows of the board."""
-    board_square_m: float = Field(default=0.06, gt=0.005, le=0.2)
-    """Side of a square; the markers are three quarters of it."""

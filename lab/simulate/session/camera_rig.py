@@ -15,6 +15,9 @@ from devrf.lab.simulate.scenes.catalogue import CENTRE
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 
 CLAPPER = np.array([0.05, 0.0, 1.25])
+JITTER_M = 0.03  # largest deviation of a camera from its even place
+FOV_DEG = 60.0  # width of the fixed cameras' view, before jitter of 1.5 %; the sweep's is a tenth wider
+BOARD_SQUARES, BOARD_SQUARE_M = (8, 6), 0.06  # columns and rows; the markers are three quarters of a square
 BOARD_AZIMUTH_DEG = 180.0  # behind the object, seen from the fixed cameras
 BOARD_ARC = 1 / 6  # of the sweep's pictures are taken before the board
 VIDEO_TICKS_HZ = 90_000
@@ -55,12 +58,12 @@ def fixed_cameras(
     for i, azimuth in enumerate(azimuths):
         name = "witness" if i == count else f"cam{i}"
         elevation = 2.0 if i == count else (-8.0, 12.0)[i % 2]
-        distance = options.camera_distance_m + options.jitter_m * rng.uniform(-1, 1)
-        spread = np.degrees(options.jitter_m / options.camera_distance_m) * rng.uniform(-1, 1, 2)
+        distance = options.camera_distance_m + JITTER_M * rng.uniform(-1, 1)
+        spread = np.degrees(JITTER_M / options.camera_distance_m) * rng.uniform(-1, 1, 2)
         position = CLAPPER + distance * _direction(azimuth + spread[0], elevation + spread[1])
-        target = CENTRE + options.jitter_m * rng.uniform(-1, 1, 3)
+        target = CENTRE + JITTER_M * rng.uniform(-1, 1, 3)
         camera = replace(
-            _lens(rng, size, options.fov_deg, options.k1),
+            _lens(rng, size, FOV_DEG, options.k1),
             cam_from_world=look_at(position, target, roll_deg=rng.uniform(-1.5, 1.5)),
         )
         offset_s = 0.0 if i == 0 else options.offset_range_s * rng.uniform(-1, 1)
@@ -80,7 +83,7 @@ def fixed_cameras(
 
 def sweep_cameras(rng: np.random.Generator, size: tuple[int, int], options: SessionOptions) -> list[Camera]:
     """The moving camera's poses: a low ring, a high ring, then an arc before the board, if there is one."""
-    lens = _lens(rng, size, min(options.fov_deg * 1.1, 95.0), options.k1)
+    lens = _lens(rng, size, 1.1 * FOV_DEG, options.k1)
     count = options.sweep_frames
     at_board = int(count * BOARD_ARC) if options.board else 0
     low = (count - at_board + 1) // 2
@@ -98,7 +101,7 @@ def sweep_cameras(rng: np.random.Generator, size: tuple[int, int], options: Sess
     return cameras
 
 
-def board_pose(options: SessionOptions) -> Float[np.ndarray, "4 4"]:
+def board_pose() -> Float[np.ndarray, "4 4"]:
     """world_from_board of the board that stands in the room; board axes are OpenCV's: x right, y down."""
     outward = _direction(BOARD_AZIMUTH_DEG, 0.0)
     tilt = np.radians(20.0)  # leans back, so that the high ring sees it too
@@ -108,7 +111,7 @@ def board_pose(options: SessionOptions) -> Float[np.ndarray, "4 4"]:
     y = np.cross(z, x)
     pose = np.eye(4)
     pose[:3, :3] = np.stack([x, y, z], axis=1)
-    half = np.array(options.board_squares) * options.board_square_m / 2
+    half = np.array(BOARD_SQUARES) * BOARD_SQUARE_M / 2
     middle = 0.72 * outward + [0, 0, 0.66]
     pose[:3, 3] = middle - half[0] * x - half[1] * y
     return pose

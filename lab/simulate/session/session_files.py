@@ -8,10 +8,17 @@ import numpy as np
 from devrf.capture.camera import Camera
 from devrf.lab.simulate.scenes.catalogue import Mesh, MovingObject
 from devrf.lab.simulate.scenes.session_options import SessionOptions
-from devrf.lab.simulate.session.camera_rig import CLAPPER, FixedCamera, board_pose
+from devrf.lab.simulate.session.camera_rig import (
+    BOARD_SQUARE_M,
+    BOARD_SQUARES,
+    CLAPPER,
+    FixedCamera,
+    board_pose,
+)
 
 TRACKED_POINTS = 60  # surface points whose way is written to the truth
 TRACK_FPS = 16.0
+MARKER_M = round(0.75 * BOARD_SQUARE_M, 6)
 BACKGROUND_HZ = 0.6  # at a motion_speed of 1
 
 
@@ -61,10 +68,10 @@ def ground_truth(
     }
     if options.board:
         truth["board"] = {
-            "world_from_board": board_pose(options).tolist(),
-            "squares": list(options.board_squares),
-            "square_m": options.board_square_m,
-            "marker_m": _marker_m(options),
+            "world_from_board": board_pose().tolist(),
+            "squares": list(BOARD_SQUARES),
+            "square_m": BOARD_SQUARE_M,
+            "marker_m": MARKER_M,
             "dictionary": "DICT_5X5_100",
         }
     return truth
@@ -74,10 +81,6 @@ def _lens_truth(camera: Camera) -> dict[str, Any]:
     K = camera.K.copy()
     K[:2, 2] -= 0.5
     return {"K": K.tolist(), "k1": float(camera.distortion[0])}
-
-
-def _marker_m(options: SessionOptions) -> float:
-    return round(0.75 * options.board_square_m, 6)
 
 
 def _rest(fixed: list[FixedCamera], options: SessionOptions) -> str:
@@ -102,14 +105,14 @@ def scene_yaml(scene: str, fixed: list[FixedCamera], options: SessionOptions) ->
         f"  rest: {_rest(fixed, options):<29}# when the moving clips show the scene as in the sweep",
     ]
     if options.board:
-        columns, rows = options.board_squares
+        columns, rows = BOARD_SQUARES
         boards = ", ".join(f"{n}: charuco_{n}.mp4" for n in ["static", *names])
         lines += [
             "  board:",
             "    type: charuco",
             f"    squares: [{columns}, {rows}]",
-            f"    square_m: {options.board_square_m}",
-            f"    marker_m: {_marker_m(options)}",
+            f"    square_m: {BOARD_SQUARE_M}",
+            f"    marker_m: {MARKER_M}",
             "    dictionary: DICT_5X5_100",
             f"    clips: {{{boards}}}",
         ]

@@ -20,6 +20,7 @@ session, up to what the video encoder makes of the same pictures.
 import json
 import shutil
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,14 @@ from devrf.lab.simulate.scenes.furniture import furnished
 from devrf.lab.simulate.scenes.objects import OBJECTS, make_object
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session import sound
-from devrf.lab.simulate.session.camera_rig import FixedCamera, board_pose, fixed_cameras, sweep_cameras
+from devrf.lab.simulate.session.camera_rig import (
+    BOARD_SQUARE_M,
+    BOARD_SQUARES,
+    FixedCamera,
+    board_pose,
+    fixed_cameras,
+    sweep_cameras,
+)
 from devrf.lab.simulate.session.moved import MovedMasks, ways
 from devrf.lab.simulate.session.session_files import (
     background_at,
@@ -111,7 +119,8 @@ def simulate_session(
     clips = [f"{kind}{name}.mp4" for kind in ("", "charuco_") for name in names]
     # One generator for each: a clip is the same whatever others are kept, and whether there are boards or sound.
     noise = dict(zip(clips, seeds[5].spawn(len(clips)), strict=True))
-    work = _Work(out, renderer, thing, around.behind, options, size, noise, kept, progress)
+    there = {path.name: path for path in kept}
+    work = _Work(out, renderer, thing, around.behind, options, size, noise, there, progress)
     work.total = len(sweep) + sum(len(camera.file_times_s) for camera in fixed)
     work.total += (len(fixed) + 1) * options.board_frames * options.board + len(fixed[-1].file_times_s)
     work.sweep(sweep)
@@ -120,10 +129,7 @@ def simulate_session(
     for camera in fixed:
         work.clip(camera, claps, burst)
     if options.board:
-        for name, camera in [
-            ("static", _away_from_board(sweep, options)),
-            *((c.name, c.camera) for c in fixed),
-        ]:
+        for name, camera in [("static", _away_from_board(sweep)), *((c.name, c.camera) for c in fixed)]:
             work.board_clip(name, camera)
     truth = ground_truth(size, sweep, fixed, claps, thing, options, scene, seed, code)
     (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
@@ -164,25 +170,21 @@ def _check_folder(out: Path) -> None:
         raise InputError("folder-exists", f"simulate {out}: not an empty folder; give a new one or empty it")
 
 
+@dataclass
 class _Work:
     """Renders and writes clips, and counts pictures."""
 
-    def __init__(
-        self,
-        out: Path,
-        renderer: Renderer,
-        thing: MovingObject,
-        behind: list[Mesh],
-        options: SessionOptions,
-        size: tuple[int, int],
-        noise: dict[str, np.random.Generator],
-        kept: Sequence[Path],
-        progress: Progress,
-    ) -> None:
-        self.out, self.renderer, self.thing, self.behind, self.options = out, renderer, thing, behind, options
-        self.size, self.noise, self.progress = size, noise, progress
-        self.kept = {path.name: path for path in kept}
-        self.total, self.done = 1, 0
+    out: Path
+    renderer: Renderer
+    thing: MovingObject
+    behind: list[Mesh]
+    options: SessionOptions
+    size: tuple[int, int]
+    noise: dict[str, np.random.Generator]
+    kept: dict[str, Path]
+    progress: Progress
+    total: int = 1
+    done: int = 0
 
     def sweep(self, path: list[Camera]) -> None:
         options, name = self.options, "static.mp4"
@@ -212,17 +214,7 @@ class _Work:
                 gain=float(of_sound.uniform(0.4, 1.0)),
             )
             duration_s = float(camera.file_times_s[-1]) + 1 / self.options.fps
-            clip.sound(
-                sound.record(
-                    of_sound,
-                    burst,
-                    claps_s,
-                    microphone,
-                    duration_s,
-                    self.options.sound_noise,
-                    self.options.reverb,
-                )
-            )
+            clip.sound(sound.record(of_sound, burst, claps_s, microphone, duration_s))
         for file_time_s in camera.file_times_s:
             moment = camera.true_time(float(file_time_s))
             radiance = self.renderer(
@@ -240,8 +232,8 @@ class _Work:
         options, file = self.options, f"charuco_{name}.mp4"
         rng = self.noise[file]
         backdrop = self.renderer(camera, [self.thing.rest], _seed(rng), beside=self.behind)
-        show = BoardCamera(camera, backdrop, options.board_squares, options.board_square_m)
-        poses = board_poses(rng, camera, options.board_squares, options.board_square_m, options.board_frames)
+        show = BoardCamera(camera, backdrop, BOARD_SQUARES, BOARD_SQUARE_M)
+        poses = board_poses(rng, camera, BOARD_SQUARES, BOARD_SQUARE_M, options.board_frames)
         clip = ClipWriter(self.out / file, self.size, BOARD_FPS, options.crf)
         for i, pose in enumerate(poses):
             clip.picture(expose(show(pose), 1.0, options.noise, rng), i / BOARD_FPS)
@@ -279,18 +271,18 @@ def _seed(rng: np.random.Generator) -> int:
 
 def standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Mesh]:
     """The board in the room during everything, and a textured back so that it does not glow through."""
-    pose = board_pose(options)
-    front = board_corners(options.board_squares, options.board_square_m, pose)
+    pose = board_pose()
+    front = board_corners(BOARD_SQUARES, BOARD_SQUARE_M, pose)
     back = (front + BOARD_THICKNESS_M * pose[:3, 2])[[1, 0, 3, 2]]
     paper = texture(
         rng, 120, 160, 0.004, options.texture_contrast, paint=WOOD, largest_m=0.2, smallest_m=0.03
     )
-    return [picture_on_quad(front, board_picture(options.board_squares)), picture_on_quad(back, paper)]
+    return [picture_on_quad(front, board_picture(BOARD_SQUARES)), picture_on_quad(back, paper)]
 
 
-def _away_from_board(sweep: list[Camera], options: SessionOptions) -> Camera:
+def _away_from_board(sweep: list[Camera]) -> Camera:
     """A pose that does not see the standing board's face: in its own clip the board must be there once."""
-    pose = board_pose(options)
+    pose = board_pose()
     return min(sweep, key=lambda camera: float((pose[:3, 3] - camera.centre) @ pose[:3, 2]))
 
 

@@ -14,6 +14,7 @@ SPEED_OF_SOUND_M_S = 343.0
 OVERSAMPLING = 8  # of the stored burst, so that it can be read at any time between samples
 ATTACK_S, DECAY_S, BURST_S = 0.0004, 0.008, 0.08
 LOWEST_HZ, HIGHEST_HZ = 400.0, 9000.0
+NOISE, REVERB = 0.01, 0.25  # of the background and of the first echo, relative to a clap's peak
 ECHOES, ECHO_DECAY_S = 40, 0.09
 PEAK = 0.6  # of full scale, of a clap at gain 1
 
@@ -43,8 +44,8 @@ def record(
     times_s: Float[np.ndarray, " n"],
     microphone: Microphone,
     duration_s: float,
-    noise: float,
-    reverb: float,
+    noise: float = NOISE,
+    reverb: float = REVERB,
 ) -> Int[np.ndarray, " samples"]:
     """What a microphone records, 16 bit [samples], the first sample at file time 0.
 
