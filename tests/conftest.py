@@ -35,7 +35,6 @@ EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 # of `whole_run`; they take minutes, so one worker makes each for all tests
 RUNS = ("example_run", "small_run")
-LESS_TRAINING = {"image_scale": 0.5, "canonical_iterations": 400, "motion_iterations": 60}  # of the example
 SMALL_FILM = (12, 12.0, 8_000)  # for `stages.render.SIZES`: a film of a second
 # longest first, so that no worker ends long after the others
 FIRST = ("end_to_end", "browser", "faults", "lab", "pipelines")
@@ -245,16 +244,12 @@ class ExampleRun:
 def example_run(devrf_process: Command, tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
     """The pipeline, run once on a copy of the example session, in a process of its own: its memory is measured.
 
-    Its trainings are shorter than the example's own, on pictures of half the size.
-
     `DEVRF_EXAMPLE_RUN` names a folder that is kept and used again, to work on such tests.
     """
     kept = os.environ.get("DEVRF_EXAMPLE_RUN")
     folder = Path(kept).resolve() if kept else tmp_path_factory.mktemp("example") / "session"
     if not folder.exists():
         shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("runs"))
-        with (folder / "scene.yaml").open("a", encoding="utf-8") as scene:
-            scene.write(f"reconstruct: {json.dumps(LESS_TRAINING)}\n")
     run_dir = folder / "run"
     result = devrf_process("run", folder, "--preset", "tiny", "--set", "output=run")
     assert result.code == 0, result.said

@@ -18,8 +18,8 @@ SETTINGS = {
     "image_scale": 0.5,
     "resolution": 48,
     "rays": 1024,
-    "canonical_iterations": 120,
-    "motion_iterations": 10,
+    "canonical_iterations": 150,
+    "motion_iterations": 20,
     "key_times": 6,
 }
 

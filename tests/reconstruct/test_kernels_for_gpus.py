@@ -23,7 +23,7 @@ from devrf.reconstruct.kernels import (
     trilinear,
 )
 
-ARCHITECTURES = [80, 90]  # A100, H100 and H200
+ARCHITECTURES = [80, 90, 120]  # A100, H100 and H200, RTX 50
 CHANNELS = (1, 3, 4, 9, 12)  # of grids: density, colours, surroundings, motion, features
 MOST_REGISTERS = 128
 USED = re.compile(r"Function (\w+):\s+REG:(\d+) STACK:(\d+) SHARED:\d+ LOCAL:(\d+)")
