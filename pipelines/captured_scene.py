@@ -1,6 +1,5 @@
 """A capture that has been calibrated, as a scene: its pictures with cameras and exact times, and its box."""
 
-import json
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +15,7 @@ from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.colour.result import read_colours
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
+from devrf.capture.durable import write_json
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_motion
@@ -192,8 +192,7 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
         content["cameras"][name] = clock_dict(found[name])
         content["tests"][name] = {key: value for key, value in told.items() if key != "cameras"}
         context.measures += of_test(name, measured)
-    text = json.dumps(content, allow_nan=False) + "\n"
-    (context.out / "clock_check.json").write_text(text, encoding="utf-8")
+    write_json(context.out / "clock_check.json", content, indent=None)
     return clocks
 
 

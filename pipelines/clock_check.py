@@ -5,9 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
@@ -25,6 +24,7 @@ from devrf.capture.frames import CameraFrames
 from devrf.capture.measure import Measure
 from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress
+from devrf.capture.survey import small
 from devrf.pipelines.clocks import clock_dict, curve_dict
 from devrf.pipelines.health.clock import (
     BY_TRACKING,
@@ -67,7 +67,7 @@ def timed_pictures(
         files = [folder / str(f.file) for f in shown[name]]
         inside = np.flatnonzero((time_s >= from_s) & (time_s <= to_s))
         if len(inside) >= MIN_FRAMES:
-            grey = np.stack([_small(files[i]) for i in inside])
+            grey = np.stack([small(read_grey(files[i]), SIDE_PX) for i in inside])
             views[name] = TimedPictures(cameras[name], grey, time_s[inside])
     return views
 
@@ -199,10 +199,3 @@ def _busiest(
         moved += (total[last] - total[first]) / max(total[-1], 1e-9)
     best_s = float(starts[np.argmax(moved)])
     return best_s, best_s + length_s
-
-
-def _small(path: Path) -> UInt8[np.ndarray, "h w"]:
-    grey = read_grey(path)
-    scale = min(1.0, SIDE_PX / max(grey.shape))
-    size = (round(grey.shape[1] * scale), round(grey.shape[0] * scale))
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -17,6 +17,7 @@ from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes, given_m
 from devrf.capture.photo_folders import list_pictures
 from devrf.capture.progress import Progress
 from devrf.capture.scene import PosedFrame
+from devrf.capture.spread import spread
 from devrf.pipelines.capture_session import raw_file
 from devrf.pipelines.config.scene import MattesConfig
 from devrf.pipelines.health.left_out import left_out
@@ -61,8 +62,8 @@ class SceneMattes:
         if len(moving) > 1 or SWEEP not in self.cameras:
             return moving
         facts, cameras = self.cameras[SWEEP].facts, self.small[SWEEP]
-        chosen = np.unique(np.linspace(0, len(facts) - 1, HULL_PICTURES).round().astype(int))
-        return [MotionMask(cameras[n], facts[n].small) for n in chosen]
+        chosen = spread(list(zip(cameras, facts, strict=True)), HULL_PICTURES)
+        return [MotionMask(camera, fact.small) for camera, fact in chosen]
 
 
 def scene_mattes(

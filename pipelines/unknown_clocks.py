@@ -1,9 +1,10 @@
 """Clocks of test cameras that are not known well enough to measure by, and what the model says of them."""
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
+
+from devrf.capture.durable import read_object
 
 Clocks = Mapping[str, Mapping[str, Any]]
 """By camera `std_s` as calibrated, and `offset_s`, or None and `why`: `test_clocks` of stage `deformation`."""
@@ -11,8 +12,7 @@ Clocks = Mapping[str, Mapping[str, Any]]
 
 def unknown_clocks(run_dir: Path) -> Clocks:
     """Those of a run; none where its motion is not trained."""
-    metrics = run_dir / "deformation" / "metrics.json"
-    return json.loads(metrics.read_text()).get("test_clocks", {}) if metrics.is_file() else {}
+    return read_object(run_dir / "deformation" / "metrics.json").get("test_clocks", {})
 
 
 def unknown_clock_notes(clocks: Clocks, shown: Iterable[str]) -> list[str]:

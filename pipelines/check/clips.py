@@ -20,6 +20,7 @@ from devrf.capture.recordings import chapter_faults
 from devrf.capture.rest import Rest
 from devrf.capture.sampled import read_runs
 from devrf.capture.slow_motion import length_faults
+from devrf.capture.spread import spread
 from devrf.capture.stillness import moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.capture.timestamps import FrameTimes, table_factor, table_faults
@@ -83,7 +84,7 @@ def planned_frames(
 def see_sweep(look: Look, progress: Progress) -> SweepSeen:
     """Look for sharpness, overlap and depth along a clip or a folder of photos."""
     used = _sweep_pictures(look)
-    chosen = used[np.unique(np.linspace(0, len(used) - 1, SWEEP_PICTURES).round().astype(int))]
+    chosen = np.array(spread(used.tolist(), SWEEP_PICTURES))
     length = min(SHARP_OF, int(np.diff(chosen).min(initial=look.count)))  # runs that do not overlap
     found: list[Features] = []
     sharp: list[float] = []

@@ -5,9 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from devrf.capture.spread import spread
 from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
 from devrf.pipelines.report.pictures import picture_uri, read_picture
-from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at, evenly
+from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at
 from devrf.pipelines.unknown_clocks import unknown_clock_notes
 
 # two under the border, and those beside it
@@ -53,7 +54,7 @@ def views(run: RunFolder) -> dict[str, Any]:
     ):
         full = [v for v in found if "error" in v.row] or found  # evaluate keeps error and rest for some
         several = len({v.row.get("camera") for v in full}) > 1
-        some = [_frame(run, v, several) for v in evenly(full, max(1, round(most * run.room)))]
+        some = [_frame(run, v, several) for v in spread(full, max(1, round(most * run.room)))]
         frames = [frame for frame in some if frame is not None]
         middle = len(frames) // 2  # at the first time of a clip nothing has moved yet
         group = {"title": title, "frames": frames, "shown": middle, "total": len(found)}

@@ -1,6 +1,5 @@
 """Stage `evaluate`: the model against pictures it was never trained on, and against the truth where known."""
 
-import json
 import platform
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,6 +11,7 @@ import numpy as np
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.truth import Truth, compare_cameras, compare_clocks, read_masks, read_truth
+from devrf.capture.durable import read_object, write_json
 from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks import clocks_in_use
@@ -62,7 +62,7 @@ def run(context: StageContext) -> None:
     if truth_file is not None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
     context.measures += [*health(metrics, scene), *confidence_measures(metrics["confidence"])]
-    (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    write_json(context.out / "metrics.json", metrics)
 
 
 def why_no_test_views(config: SceneConfig, run_dir: Path) -> str:
@@ -70,7 +70,7 @@ def why_no_test_views(config: SceneConfig, run_dir: Path) -> str:
     names = config.capture.test_names if config.capture is not None else ()
     why: dict[str, str] = {}
     for file in ("ingest/ingest.json", "rig/rig.json"):
-        why |= _read(run_dir / file).get("left_out", {})
+        why |= read_object(run_dir / file).get("left_out", {})
     told = [f"test camera {name}: {why.get(name, NO_PICTURE)}" for name in names]
     return "; ".join(told) or NO_TEST_CAMERA
 
@@ -101,7 +101,7 @@ def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
         {frame.camera_name: frame.camera for frame in scene.dynamic},
         centre,
     )
-    ingest = _read(run_dir / "ingest" / "ingest.json").get("cameras", {})
+    ingest = read_object(run_dir / "ingest" / "ingest.json").get("cameras", {})
     clocks = _clocks_trained_with(run_dir)
     times = {name: [f["time_s"] for f in c["frames"]] for name, c in ingest.items() if name in clocks}
     errors = compare_clocks(truth, clocks, {name: (t[0], t[-1]) for name, t in times.items() if t})
@@ -115,7 +115,7 @@ def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
 def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
     """The clocks that gave the scene its times, with what training moved; on the first camera's, as that was moved."""
     clocks = clocks_in_use(run_dir)
-    moved_s = _read(run_dir / "deformation" / "metrics.json").get("clock_offsets_s", {})
+    moved_s = read_object(run_dir / "deformation" / "metrics.json").get("clock_offsets_s", {})
     zero_s = moved_s.get(next(iter(clocks), ""), 0.0)
     return {
         name: replace(clock, offset_s=clock.offset_s + moved_s.get(name, 0.0) - zero_s)
@@ -125,7 +125,7 @@ def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
 
 def training(run_dir: Path) -> dict[str, Any]:
     """What both training stages took, from their metrics.json."""
-    stages = {name: _read(run_dir / name / "metrics.json") for name in ("canonical", "deformation")}
+    stages = {name: read_object(run_dir / name / "metrics.json") for name in ("canonical", "deformation")}
     seconds = {f"{name}_s": stage.get("seconds") for name, stage in stages.items()}
     iterations = sum(stage.get("iterations") or 0 for stage in stages.values())
     total = sum(value or 0.0 for value in seconds.values())
@@ -174,7 +174,3 @@ def _said_retimed(metrics: dict[str, Any]) -> str:
     gain = retimed["psnr"] - metrics["static_baseline"]["test_moving_retimed"]["psnr"]
     offsets = [f"{name} {ms:+.0f} ms" for name, ms in retimed["offsets_ms"].items() if ms is not None]
     return f" A test camera's clock is not known: with {', '.join(offsets)} it gains {gain:.1f} dB."
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text()) if path.is_file() else {}

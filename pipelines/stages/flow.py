@@ -4,7 +4,6 @@ Pairs are written to `.flow` in the run folder as they are found, and become the
 was stopped finds only those that are missing.
 """
 
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from devrf.capture.durable import write_json
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.measure import noted
@@ -69,10 +69,8 @@ def run(context: StageContext) -> None:
         (unfinished / camera).rename(context.out / camera)
     shutil.rmtree(unfinished)
     method = METHOD if estimator is None else estimator.name
-    text = json.dumps(
-        {"method": method, "cameras": {name: asdict(check) for name, check in checks.items()}}, indent=1
-    )
-    (context.out / "flow.json").write_text(text + "\n")
+    content = {"method": method, "cameras": {name: asdict(check) for name, check in checks.items()}}
+    write_json(context.out / "flow.json", content)
     if brought:
         first = [name for name, frames in clips.items() if frames[0].flow is not None]
         ignored = [f"that of a first frame is ignored: {', '.join(first)}"] if first else []

@@ -1,6 +1,5 @@
 """Stage `sync`: every camera's clock, by which cue and how sure, and whether the clips overlap at all."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
@@ -14,6 +13,7 @@ from devrf.calibration.clocks.evidence import Curve, Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
+from devrf.capture.durable import write_json
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
@@ -66,8 +66,8 @@ def run(context: StageContext) -> None:
         for name in sorted(tests):
             placed = job.place(name, trained | {name: joint[name]}, together, "none")
             content["joint"]["cameras"][name] = clock_dict(placed.cameras[name])
-    (context.out / "sync.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    (context.out / "curves.json").write_text(json.dumps(curves, allow_nan=False) + "\n")
+    write_json(context.out / "sync.json", content)
+    write_json(context.out / "curves.json", curves, indent=None)
 
 
 def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
