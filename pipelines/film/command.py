@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from devrf.capture.amounts import size_text
 from devrf.capture.durable import write_json
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.export import check_target, new_folder
 from devrf.capture.formats.opengl import opengl_pose
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
-from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
+from devrf.pipelines.budget.at_once import FILM, RENDERED, WITH_DEPTH
+from devrf.pipelines.budget.memory import too_much
 from devrf.pipelines.console import Talk, duration
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.disk_told import disk_told
@@ -35,10 +35,6 @@ if TYPE_CHECKING:  # they need torch
 
 READS = ("scene", "canonical", "deformation")  # the stages whose results are filmed
 KIND = "film"  # of folders that may be replaced
-BASE_BYTES = 900_000_000  # the process while it unpacks a model: the example's
-# That a picture's pixel takes while it is rendered; measured: 136 before white, surroundings more.
-PIXEL_BYTES = 230
-DEPTH_BYTES = 100  # and for depth
 
 
 def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
@@ -163,16 +159,11 @@ def _state(job: Run) -> list[str]:
 
 
 def _check_memory(job: Run, plan: Plan, layers: Sequence[str]) -> None:
-    pixels = max(camera.width * camera.height for camera in plan.cameras)
-    each = PIXEL_BYTES + DEPTH_BYTES * ("depth" in layers)
-    needed, allowed = BASE_BYTES + each * pixels, allowed_bytes(job.config)
-    if needed > allowed:
-        camera = plan.cameras[0]
-        raise InputError(
-            "film-needs-memory",
-            f"pictures of {camera.width}x{camera.height} need about {size_text(needed)} of memory, and "
-            f"{size_text(allowed)} are allowed ({memory_bound(job.config, allowed)}); choose a smaller --size",
-        )
+    camera, each = plan.cameras[0], WITH_DEPTH if "depth" in layers else RENDERED
+    needed = FILM + each * max(camera.width * camera.height for camera in plan.cameras)
+    if (wrong := too_much(job.config, needed)) is not None:
+        text = f"pictures of {camera.width}x{camera.height} need {wrong}; choose a smaller --size"
+        raise InputError("film-needs-memory", text)
 
 
 @contextmanager

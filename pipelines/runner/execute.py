@@ -13,6 +13,7 @@ import devrf
 from devrf.capture.amounts import GB
 from devrf.capture.errors import DevrfError, OutOfTime
 from devrf.capture.progress import Progress
+from devrf.pipelines.budget.disk import watched
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.console import duration
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
@@ -211,7 +212,7 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, budget: Budget) ->
                 made_from=made_from,
                 allowance=budget.allowance(),
             )
-            with budget.watched():
+            with watched(run.config, run.run_dir):
                 stage.run(context)
         finish(run, folder, stage, context, time.monotonic() - start)
         workspace.commit(stage.name, folder)

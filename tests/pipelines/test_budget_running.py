@@ -9,12 +9,11 @@ import pytest
 from tests.pipelines.small_stages import job, small_stages, write
 
 from devrf.pipelines.budget import disk
-from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import Room, room_of, watched
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.stage import StageContext
+from devrf.pipelines.stage import Allowance, StageContext
 from devrf.pipelines.stages.static_poses import sweep_options
 
 
