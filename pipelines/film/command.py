@@ -16,7 +16,7 @@ from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.pipelines.budget.at_once import FILM, RENDERED, WITH_DEPTH
 from devrf.pipelines.budget.memory import too_much
-from devrf.pipelines.console import Talk, duration
+from devrf.pipelines.console import duration
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.film.plan import Asked, Plan, planned
@@ -37,11 +37,10 @@ READS = ("scene", "canonical", "deformation")  # the stages whose results are fi
 KIND = "film"  # of folders that may be replaced
 
 
-def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
+def film(job: Run, asked: Asked, device: str) -> Path:
     """Make a film of a run and say where it is; what is stopped leaves nothing, and an earlier film as it was.
 
     Args:
-        talk: Where to speak.
         job: The run.
         asked: The options.
         device: auto, cpu or cuda.
@@ -50,6 +49,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
         DevrfError: It cannot be written, or not enough memory is left.
     """
     asked.check()
+    talk = job.talk
     if asked.out is None:
         check_run_folder(job.run_dir, ())
     folder = job.run_dir / "films" / asked.name if asked.out is None else asked.out.expanduser().resolve()
@@ -65,7 +65,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     for line in notes:
         talk.say(f"  note: {line}", style="yellow")
     with _told(folder):
-        made_in_s = _make(talk, job, asked, plan, world, folder, notes)
+        made_in_s = _make(job, asked, plan, world, folder, notes)
     count = len(plan.cameras)
     shown = f"{count / made_in_s:.3g} pictures a second"
     talk.say(f"  {count} pictures, {count / plan.fps:.3g} s, in {duration(made_in_s)} ({shown})")
@@ -74,9 +74,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     return folder
 
 
-def _make(
-    talk: Talk, job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]
-) -> float:
+def _make(job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]) -> float:
     """Write the film and `film.json`; seconds that it took."""
     from devrf.pipelines.trained_model import load_trained
     from devrf.reconstruct.film.layers import DepthScale
@@ -87,7 +85,7 @@ def _make(
     depth = DepthScale.of(plan.cameras, world.aabb, model.rest.near, world_per_box, world.metric)
     names = {layer: layer for layer in asked.layer_names()}
     film = Film(plan.cameras, plan.times, plan.fps, names, asked.format or "mp4", depth)
-    with new_folder(folder, KIND) as new, talk.progress(f"film {folder.name}") as progress:
+    with new_folder(folder, KIND) as new, job.talk.progress(f"film {folder.name}") as progress:
         begin = time.perf_counter()
         make_film(film, model, new, progress)
         made_in_s = time.perf_counter() - begin

@@ -50,7 +50,7 @@ def scene(made: Path, tmp_path: Path) -> Path:
 def film(scene: Path, **options: object) -> Path:
     """Make a film in this process; its folder."""
     job = run_command.prepare(Talk("normal"), scene, None, None, None, check_files=False)
-    return command.film(job.talk, job, Asked(**{**SMALL, **options}), "cpu")  # type: ignore[arg-type]
+    return command.film(job, Asked(**{**SMALL, **options}), "cpu")  # type: ignore[arg-type]
 
 
 def about(folder: Path) -> dict:
