@@ -162,22 +162,10 @@ def unknown_clocks(used: Mapping[str, Clock], why: str, frames: Mapping[str, Cam
 
 
 def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:
-    pairs = [
-        {
-            "first": p.first,
-            "second": p.second,
-            "by": p.by,
-            "offset_s": p.offset_s,
-            "std_s": p.std_s,
-            "sharp": p.sharp,
-        }
-        | curve_dict(p.lags_s, p.values)
-        for p in check.pairs
-    ]
     return {
         "cameras": {name: clock_dict(clock) for name, clock in used.items()},
         "corrections": {name: asdict(c) for name, c in check.corrections.items()},
-        "pairs": pairs,
+        "pairs": [curve_dict(pair) for pair in check.pairs],
         "loops": [asdict(loop) for loop in check.loops],
         "notes": list(check.notes),
     }

@@ -2,31 +2,28 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from jaxtyping import Float
+from typing import TYPE_CHECKING, Any
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.capture.durable import read_json, read_object
 
+if TYPE_CHECKING:  # at run time they bring OpenCV
+    from devrf.calibration.clocks.evidence import Curve
+    from devrf.calibration.clocks.geometry import PairCheck
+
 
 def clock_dict(clock: Clock) -> dict[str, Any]:
     """A clock as it is written to `sync.json` and `clock_check.json`."""
-    return {
-        "offset_s": clock.offset_s,
-        "drift_ppm": clock.drift_ppm,
-        "std_s": clock.std_s if math.isfinite(clock.std_s) else None,
-        "method": clock.method,
-        "confidence": clock.confidence,
-        "basis": clock.basis,
-    }
+    return asdict(clock) | {"std_s": clock.std_s if math.isfinite(clock.std_s) else None}
 
 
-def curve_dict(lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> dict[str, list[float]]:
+def curve_dict(curve: "Curve | PairCheck") -> dict[str, Any]:
     """How well two clips agree at each lag, as it is written to `curves.json` and `clock_check.json`."""
-    return {"lags_s": [round(float(x), 6) for x in lags_s], "values": [round(float(x), 5) for x in values]}
+    lags_s, values = curve.lags_s.tolist(), curve.values.tolist()
+    rounded = {"lags_s": [round(x, 6) for x in lags_s], "values": [round(x, 5) for x in values]}
+    return asdict(curve) | rounded
 
 
 def read_clocks(run_dir: Path, joint: bool = False) -> dict[str, Clock]:

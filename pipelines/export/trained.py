@@ -18,7 +18,6 @@ from devrf.pipelines.export import times
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import Moment
 from devrf.pipelines.stamps.stamp import STAMP
-from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.pictures import training
 
 if TYPE_CHECKING:  # it needs torch
@@ -66,9 +65,10 @@ class Trained:
             raise InputError("option-misplaced", text)
         if not moved and self.scene.dynamic:
             request.notes.append("the motion is not trained yet: this is the scene at rest alone")
-        self.model: DynamicModel = load_trained(
-            request.run_dir, resolve_device(request.options.device or "auto")
-        )
+        from devrf.reconstruct.model_io import load_model
+
+        device = resolve_device(request.options.device or "auto")
+        self.model: DynamicModel = load_model(request.run_dir, device)
         motion = self.model.motion
         self.moments: list[Moment] = [times.REST]
         if motion is not None:

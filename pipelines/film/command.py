@@ -76,11 +76,11 @@ def film(job: Run, asked: Asked, device: str) -> Path:
 
 def _make(job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]) -> float:
     """Write the film and `film.json`; seconds that it took."""
-    from devrf.pipelines.trained_model import load_trained
     from devrf.reconstruct.film.layers import DepthScale
     from devrf.reconstruct.film.make import Film, make_film
+    from devrf.reconstruct.model_io import load_model
 
-    model = _showing(load_trained(job.run_dir, job.device), asked.left_out())
+    model = _showing(load_model(job.run_dir, job.device), asked.left_out())
     world_per_box = 1 / float(np.cbrt(np.linalg.det(world.box_from_world[:3, :3])))
     depth = DepthScale.of(plan.cameras, world.aabb, model.rest.near, world_per_box, world.metric)
     names = {layer: layer for layer in asked.layer_names()}

@@ -13,9 +13,9 @@ from devrf.capture.scene import Scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.clocks import clock_dict, clocks_in_use
 from devrf.pipelines.flow_clips import flow_estimator
-from devrf.pipelines.health.in_motion import in_motion_measures
 from devrf.pipelines.health.training import (
     contradicted_measures,
+    in_motion_measures,
     moved_clock_measures,
     mover_measures,
     restart_measures,

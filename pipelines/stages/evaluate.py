@@ -3,6 +3,7 @@
 import platform
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -16,16 +17,16 @@ from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.confidence import confidence_measures
 from devrf.pipelines.health.left_out import NO_PICTURE
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.pipelines.trained_scene import trained_scene
-from devrf.pipelines.unknown_clocks import unknown_clocks
 from devrf.reconstruct.confidence import subject_seen
 from devrf.reconstruct.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
+from devrf.reconstruct.model import render_view
+from devrf.reconstruct.model_io import load_model
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
+TRAINED = ("canonical", "deformation")  # stages that hold models, which are what a viewer needs
 TEST_VIEWS = "test views"  # what some measures are about
 USUAL_ERRORS = {
     "rig_rotation_deg": 0.15,
@@ -43,25 +44,27 @@ def run(context: StageContext) -> None:
     config = context.config
     scene = trained_scene(context.run_dir)  # clocks of test cameras are as they were calibrated
     lpips = lpips_nets(config, context.scene_dir, context.device)
-    model = load_trained(context.run_dir, context.device)
+    model = load_model(context.run_dir, context.device)
     truth_file = config.truth_path(context.scene_dir)
     masks = {} if truth_file is None else true_masks(truth_file, scene)
     plain = model.unshaded()
+    clocks = read_object(context.run_dir / "deformation" / "metrics.json").get("test_clocks", {})
     metrics = evaluate(
-        scene, renderer(model), lpips, context.out, context.progress, masks,
-        None if plain is None else renderer(plain), unknown_clocks(context.run_dir),
+        scene, partial(render_view, model), lpips, context.out, context.progress, masks,
+        None if plain is None else partial(render_view, plain), clocks,
         why_no_test_views(config, context.run_dir),
     )  # fmt: skip
+    models = [path for stage in TRAINED for path in (context.run_dir / stage).glob("*.safetensors")]
     metrics |= {
         "confidence": subject_seen(scene, model),
         "train": training(context.run_dir),
-        "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),
+        "model_mb": round(sum(path.stat().st_size for path in models) / 1e6, 3),
         "versions": versions(),
         "seed": config.reconstruct.seed,
     }
     if truth_file is not None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
-    context.measures += [*health(metrics, scene), *confidence_measures(metrics["confidence"])]
+    context.measures += health(metrics, scene)
     write_json(context.out / "metrics.json", metrics)
 
 
@@ -125,7 +128,7 @@ def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
 
 def training(run_dir: Path) -> dict[str, Any]:
     """What both training stages took, from their metrics.json."""
-    stages = {name: read_object(run_dir / name / "metrics.json") for name in ("canonical", "deformation")}
+    stages = {name: read_object(run_dir / name / "metrics.json") for name in TRAINED}
     seconds = {f"{name}_s": stage.get("seconds") for name, stage in stages.items()}
     iterations = sum(stage.get("iterations") or 0 for stage in stages.values())
     total = sum(value or 0.0 for value in seconds.values())
@@ -153,7 +156,7 @@ def versions() -> dict[str, str]:
 
 
 def health(metrics: dict[str, Any], scene: Scene) -> Iterator[Measure]:
-    """Is the result any good, and does motion earn its keep?"""
+    """Is the result any good, does motion earn its keep, and do cameras see enough of the subject?"""
     if any(frame.split == "test" for frame in scene.static):
         yield Measure("views-psnr", metrics["test_static"]["psnr"], "held-out sweep")
     if any(frame.split == "test" for frame in scene.dynamic):
@@ -164,6 +167,15 @@ def health(metrics: dict[str, Any], scene: Scene) -> Iterator[Measure]:
     for name, warn in USUAL_ERRORS.items() if "truth" in metrics else ():
         if metrics["truth"][name] is not None:
             yield Measure("truth-missed", metrics["truth"][name], name, warn=warn)
+    yield from surface_seen(metrics["confidence"])
+
+
+def surface_seen(confidence: dict[str, Any]) -> Iterator[Measure]:
+    """A box that shows nothing, or how much of the subject's motion nobody filmed."""
+    if not confidence["seen_by"]:
+        yield Measure("surface-unseen", "no surface is seen in the box", why="nothing")
+    elif confidence["unseen_share"] is not None:
+        yield Measure("surface-unseen", 100 * confidence["unseen_share"])
 
 
 def _said_retimed(metrics: dict[str, Any]) -> str:

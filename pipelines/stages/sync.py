@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.evidence import Curve, Extras
+from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
@@ -149,21 +149,10 @@ def as_dict(result: SyncResult) -> dict[str, Any]:
 def _evidence(result: SyncResult) -> dict[str, Any]:
     """What clocks were read from, as it is written to `curves.json`."""
     return {
-        "curves": [_curve_dict(curve) for curve in result.curves],
+        "curves": [curve_dict(curve) for curve in result.curves],
         "loops": [asdict(loop) for loop in result.loops],
         "comparisons": [asdict(c) | {"contradicts": c.contradicts} for c in result.comparisons],
     }
-
-
-def _curve_dict(curve: Curve) -> dict[str, Any]:
-    return {
-        "first": curve.first,
-        "second": curve.second,
-        "method": curve.method,
-        "delay_s": curve.delay_s,
-        "quality": curve.quality,
-        "accepted": curve.accepted,
-    } | curve_dict(curve.lags_s, curve.values)
 
 
 def measures(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Measure]:
