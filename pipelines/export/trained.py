@@ -109,6 +109,10 @@ class Trained:
         """Unit directions of the box frame in the world."""
         return directions @ (self.world_from_box[:3, :3] / self.scale).T
 
+    def comments(self, what: str, moment: Moment) -> list[str]:
+        """What stands in the head of a file of one time."""
+        return [f"devrf {what} in the world of the calibration", f"unit: {self.unit}", moment.said()]
+
     def describe(
         self, folder: Path, *, files: str, axes: str, facts: dict[str, Any], lengths: str | None = None
     ) -> None:
@@ -149,6 +153,11 @@ class Trained:
             **facts,
         }
         (folder / FACTS).write_text(json.dumps(value, indent=1) + "\n")
+
+
+def entry_of(path: Path, moment: Moment, xyz: Float[np.ndarray, "n 3"], **facts: int) -> dict[str, Any]:
+    """A file of one time, for export.json."""
+    return {"file": path.name, "time": moment.time, "time_s": moment.time_s, **facts, **bounds_of(xyz)}
 
 
 def bounds_of(points: Float[np.ndarray, "n 3"]) -> dict[str, list[float]]:
