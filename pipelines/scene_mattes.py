@@ -15,7 +15,7 @@ from devrf.capture.mattes.chroma import parse_colour
 from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
 from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes, given_mattes
 from devrf.capture.photo_folders import list_pictures
-from devrf.capture.progress import Progress
+from devrf.capture.progress import Progress, part
 from devrf.capture.scene import PosedFrame
 from devrf.capture.spread import spread
 from devrf.pipelines.capture_session import raw_file
@@ -83,13 +83,8 @@ def scene_mattes(
     make, names = _maker(capture.mattes, context, out, list(clips))
     made: dict[str, CameraMattes] = {}
     for n, name in enumerate(names):
-        clip = clips[name]
-
-        def part(share: float, text: str, n: int = n) -> None:
-            progress((n + share) / len(names), text)
-
         try:
-            made[name] = make(clip, part)
+            made[name] = make(clips[name], part(progress, n / len(names), 1 / len(names)))
         except DevrfError as error:
             if name not in frames.tests:
                 raise

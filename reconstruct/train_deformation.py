@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from devrf.capture.errors import ReconstructError
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.progress import Progress, no_progress, part
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
@@ -158,7 +158,7 @@ def _movers(
             every,
             options,
             device,
-            lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
+            part(progress, TRACKING, 1 - TRACKING),
             checkpoint,
             pictures(),
         )
@@ -299,7 +299,7 @@ def _field(
         motion,
         options,
         device,
-        lambda f, m: progress(share + (1 - share) * f, m),
+        part(progress, share, 1 - share),
         checkpoint.part("fine-tuning"),
     )
     metrics = _with_cost_of(metrics, tuned.metrics)

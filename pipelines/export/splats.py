@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from devrf.capture.errors import InputError
 from devrf.capture.formats.ply import write_splat_ply
-from devrf.capture.progress import Progress
+from devrf.capture.progress import Progress, part
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import AXES, Trained, entry_of
 
@@ -28,7 +28,7 @@ def write(request: Request) -> None:
     matrix = torch.from_numpy(trained.world_from_box).float()
     entries: list[dict[str, Any]] = []
     with request.new_folder() as new, request.talk.progress("export splat") as progress:
-        fitted = made(trained, count, lambda done, text: progress((1 - LAST) * done, text))
+        fitted = made(trained, count, part(progress, 0, 1 - LAST))
         for n, moment in enumerate(trained.moments):
             world, path = transformed(fitted.at(n).to("cpu"), matrix), new / f"splat_{n:04d}.ply"
             xyz = world.places.numpy()

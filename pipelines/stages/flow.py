@@ -16,6 +16,7 @@ from devrf.capture.durable import write_json
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.measure import noted
+from devrf.capture.progress import part
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import clip_flow, gaps_of
@@ -48,9 +49,6 @@ def run(context: StageContext) -> None:
         def load(k: int, frames: list[PosedFrame] = frames) -> UInt8[np.ndarray, "h w 3"]:
             return load_image(frames[k], 1.0, scene.background)
 
-        def progress(share: float, text: str, n: int = n) -> None:
-            context.progress((n + share) / len(clips), text)
-
         gap = gaps_of(camera, [time_of(frame) for frame in frames])
         paths = [frame.flow for frame in frames]
         found = clip_flow(
@@ -62,7 +60,7 @@ def run(context: StageContext) -> None:
             given(lambda k, paths=paths: _read(paths[k])) if estimator is None else estimated(estimator),
             unfinished,
             at_once,
-            progress,
+            part(context.progress, n / len(clips), 1 / len(clips)),
         )
         checks[camera] = found if _stands_still(frames) else replace(found, shake_px=None)
     for camera in clips:
