@@ -82,7 +82,7 @@ def train_canonical(
         text = "the sweep has no training pictures; the scene at rest cannot be learned"
         raise ReconstructError("pictures-none", text)
     log = TrainingLog(device, LOG_EVERY)
-    rays = RaySet(frames, scene.image_scale, scene.background, device, part(progress, 0, READING))
+    rays = RaySet(frames, scene.image_scale, scene.background, device, part(progress, 0.0, READING))
     fixed, shares = plates(scene, device)
     generator = torch.Generator().manual_seed(options.seed)
     plain = plain_of(scene.background, device)

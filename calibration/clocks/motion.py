@@ -147,7 +147,7 @@ def course_delay(
     margin = float(evidence[peak] - max(rivals, default=0.0))
     shift_s = first_s[0] - second_s[0]
     reach = OVERSAMPLING  # one frame step: the grid's own spacing is interpolated, and bends nothing
-    delay_s = (lags[peak] + top_of_parabola(values, peak, reach, most=1)) * dt + shift_s
+    delay_s = (lags[peak] + top_of_parabola(values, peak, reach, most=1.0)) * dt + shift_s
     lags_s = lags * dt + shift_s
     near = np.abs(lags_s - delay_s) <= max(CURVE_S, 15 * max(steps))
     from_s, to_s = max(first_s[0], second_s[0] + delay_s), min(first_s[-1], second_s[-1] + delay_s)

@@ -35,7 +35,7 @@ def write(request: Request) -> None:
     from devrf.reconstruct.splats.packed import pack
 
     with request.new_folder() as new, request.talk.progress("export player") as progress:
-        made = shared.made(trained, count, part(progress, 0, 1 - LAST))
+        made = shared.made(trained, count, part(progress, 0.0, 1 - LAST))
         packed = pack(made.gaussians, made.ways, made.nodes)
         views = [_told(*view) for view in _views(trained)]
         about = {**_about(trained, made), "splats": packed.about, "views": views}

@@ -28,7 +28,7 @@ def write(request: Request) -> None:
     matrix = torch.from_numpy(trained.world_from_box).float()
     entries: list[dict[str, Any]] = []
     with request.new_folder() as new, request.talk.progress("export splat") as progress:
-        fitted = made(trained, count, part(progress, 0, 1 - LAST))
+        fitted = made(trained, count, part(progress, 0.0, 1 - LAST))
         for n, moment in enumerate(trained.moments):
             world, path = transformed(fitted.at(n).to("cpu"), matrix), new / f"splat_{n:04d}.ply"
             xyz = world.places.numpy()

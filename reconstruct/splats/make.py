@@ -74,7 +74,7 @@ def make_splats(
         ReconstructError: The model shows no surface.
     """
     behind = behind_of(scene).to(model.rest.canonical.density.device)
-    placed, others = look_around(scene, model, part(progress, 0, LOOKING))
+    placed, others = look_around(scene, model, part(progress, 0.0, LOOKING))
     gaussians = sample(placed, count, SEED)
     fitting = part(progress, LOOKING, 1 - LOOKING)
     nodes = nodes_of(model, gaussians.places, times)
