@@ -10,6 +10,7 @@ training together with what stands, and `test_moving` by the true masks. Clocks 
 import json
 import tempfile
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +26,10 @@ from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.stages.evaluate import true_masks
-from devrf.pipelines.trained_model import renderer
 from devrf.pipelines.training_options import training_options
 from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.evaluate import LpipsNets, evaluate
-from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.model_io import FILE, load_rest
 from devrf.reconstruct.tracking.film import films
 from devrf.reconstruct.tracking.find import at_rest, parts_of
@@ -71,7 +71,7 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     model = DynamicModel.of_movers(rest, trained.stands, trained.movers, len(times), boxed.rest_time)
     with tempfile.TemporaryDirectory() as folder:
         masks = true_masks(truth_file, scene)
-        score = evaluate(scene, renderer(model), LpipsNets.load(None), Path(folder), masks=masks)
+        score = evaluate(scene, partial(render_view, model), LpipsNets.load(None), Path(folder), masks=masks)
     name = f"ceiling/{config.name}"
     return [
         Row(f"{name}/nothing moves", told["evaluate"]["static_baseline"]["test_moving"]["psnr"], "dB"),

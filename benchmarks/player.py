@@ -19,9 +19,9 @@ from tests.browser.conftest import FLAGS
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene
 from devrf.lab.bench.bench_rows import Row
-from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.metrics import psnr
 from devrf.reconstruct.model import render_view
+from devrf.reconstruct.model_io import load_model
 
 SIDE, SECONDS, GOAL = 400, 6, 20
 MOST_MB = 25
@@ -80,7 +80,7 @@ def _counted(page: Any, what: str) -> list[Row]:
 
 def _compared(page: Any, run_dir: Path) -> list[Row]:
     """Screenshots against the model, for every view of the page."""
-    model = load_trained(run_dir, "cpu")
+    model = load_model(run_dir, "cpu")
     scene = read_scene(run_dir / "scene")
     page.add_style_tag(content="header, details, #bar, #scale { opacity: 0 }")
     rows = []

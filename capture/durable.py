@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,29 @@ MANY_FILES = 32  # from here on the whole file system is put on the disk at once
 NOT_FOR_FOLDERS = (errno.EINVAL, errno.EOPNOTSUPP)
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write a file whole or not at all, and make it durable."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+@contextmanager
+def whole(path: Path, *, alone: bool = False) -> Iterator[Path]:
+    """A file to write into, which gets the name of `path` once it lies on the disk; what fails leaves nothing.
+
+    Args:
+        path: The name.
+        alone: No two processes ever write it at once: what a kill leaves half written is written over the next time.
+    """
+    of_process = "" if alone else f".{os.getpid()}"
+    new = path.with_name(f".{path.name.lstrip('.')}{of_process}.tmp")
     try:
-        temporary.write_text(json.dumps(value, indent=1, allow_nan=False), encoding="utf-8")
-        sync(temporary)
-        temporary.replace(path)
+        yield new
+        sync(new)
+        new.replace(path)
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        new.unlink(missing_ok=True)
         raise
+
+
+def write_json(path: Path, value: Any, *, indent: int | None = 1) -> None:
+    """Write a file of ours, whole or not at all; numbers are finite. `indent`: None writes all in one line."""
+    with whole(path) as new:
+        new.write_text(json.dumps(value, indent=indent, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> Any:
@@ -38,6 +52,11 @@ def read_json(path: Path) -> Any:
     if is_device(path):
         raise ValueError("a device or a pipe")
     return parse_json(path.read_bytes())
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """The object that a file of ours holds; empty where there is no file. Raises as `read_json` does."""
+    return read_json(path) if path.is_file() else {}
 
 
 def parse_json(text: str | bytes) -> Any:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.audio import Sound, read_sound, read_wav, write_wav
-from devrf.capture.clips import Extract, Keep, extract_clip
+from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
 from devrf.capture.photos import extract_folder
@@ -27,6 +27,7 @@ from devrf.capture.recordings import chapter_faults
 from devrf.capture.session import CaptureSession
 from devrf.capture.slow_motion import length_faults
 from devrf.capture.timestamps import read_timestamps
+from devrf.capture.video import probe_video
 
 MAX_SWEEP_FRAMES = 120  # exhaustive matching of 120 pictures is 7140 pairs, minutes on two cores
 MAX_BOARD_FRAMES = 60  # intrinsics gain nothing from more views of one board
@@ -99,7 +100,7 @@ def write_frames(
         got = extract_clip(path, out, name, role, source, keep, times.get(camera or ""), step, workers)
         whole = not times and not (keep.only_range and keep.range_s)
         clocked = role in SOUND_ROLES
-        frames = _with_clock_cues(got, sounds.get(name), path, whole) if clocked else got.frames
+        frames = with_clock_cues(got.frames, sounds.get(name), path, whole) if clocked else got.frames
         cameras[name] = replace(frames, faults=(*frames.faults, *chapter_faults(path)))
         if clocked:
             np.save(out / "motion" / f"{name}.npy", got.courses.motion)
@@ -173,22 +174,25 @@ def _separate_joint_clips(session: CaptureSession) -> dict[str, Path]:
     return {f"joint_{c}": p for c, p in session.joint_clips.items() if not session.shares_joint_clip(c)}
 
 
-def _with_clock_cues(got: Extract, sound: Sound | None, path: Path, whole: bool) -> CameraFrames:
-    """The frames with what is known of their clock: sound, creation time, timecode.
+def with_clock_cues(frames: CameraFrames, sound: Sound | None, path: Path, whole: bool) -> CameraFrames:
+    """The frames of a clip with what is known of their clock: sound, creation time, timecode.
 
-    `whole`: they are all of the clip's, with its own times, so that they last as long as the sound.
+    Args:
+        frames: Without that.
+        sound: The clip's; None where there is nothing to hear.
+        path: The clip.
+        whole: They are all of the clip's, with its own times, so that they last as long as the sound.
     """
     recorded = read_recorded(path)
     frames = replace(
-        got.frames,
+        frames,
         created_s=recorded.created_s,
         timecode_s=recorded.timecode_s,
         timecode_fps=recorded.timecode_fps,
-        faults=(*got.frames.faults, *rate_faults(recorded.timecode_fps, got.frames.fps_mean)),
+        faults=(*frames.faults, *rate_faults(recorded.timecode_fps, frames.fps_mean)),
     )
     if sound is None:
-        found = read_sound(path)
-        note = "no sound track" if found is None else "the sound track is silent"
+        note = "the sound track is silent" if probe_video(path).has_audio else "no sound track"
         return replace(frames, notes=(*frames.notes, note))
     notes = list(frames.notes)
     if sound.recorded_hz not in (None, sound.rate_hz):

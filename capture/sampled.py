@@ -18,6 +18,7 @@ from jaxtyping import Float
 from devrf.capture.errors import CaptureError
 from devrf.capture.media import open_media, origin_s, video_stream
 from devrf.capture.packets import scan_packets
+from devrf.capture.spread import spread
 from devrf.capture.upright import Upright
 from devrf.capture.video import VideoFrame, VideoReader
 
@@ -44,8 +45,7 @@ def picture_times(path: Path) -> Float[np.ndarray, " n"]:
 
 def spread_starts(times_s: Float[np.ndarray, " n"], count: int, length: int = 1) -> list[float]:
     """Where at most `count` runs of `length` pictures begin, evenly from the first picture to the last."""
-    last = max(0, len(times_s) - length)
-    return times_s[np.unique(np.linspace(0, last, count).round().astype(int))].tolist()
+    return spread(times_s[: max(1, len(times_s) - length + 1)].tolist(), count)
 
 
 def read_runs(

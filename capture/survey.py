@@ -18,6 +18,7 @@ from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.pictures import probe_picture, read_picture
 from devrf.capture.raw import RAW_SUFFIXES
 from devrf.capture.sampled import picture_times, read_runs, spread_starts
+from devrf.capture.spread import spread
 from devrf.capture.video import probe_video
 
 Picture = UInt8[np.ndarray, "height width 3"]
@@ -161,7 +162,7 @@ def _look_at_clip(path: Path, count: int) -> Look:
 
 def _look_at_photos(folder: Path, count: int) -> Look:
     photos = list_pictures(folder)
-    chosen = [photos[i] for i in np.unique(np.linspace(0, len(photos) - 1, count).round().astype(int))]
+    chosen = spread(photos, count)
     read = [_size_and_small(photo) for photo in chosen]
     sizes = [own for own, _ in read]
     size = max(dict.fromkeys(sizes), key=sizes.count)
@@ -190,9 +191,11 @@ def pictures_at(look: Look, end: End) -> list[Picture]:
     return shown[:END_PICTURES] if end == "start" else shown[-END_PICTURES:]
 
 
-def small(picture: UInt8[np.ndarray, "height width 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture with a longer side of at most `MOST_SIDE_PX`, area-averaged."""
-    scale = MOST_SIDE_PX / max(picture.shape[:2])
+def small(
+    picture: UInt8[np.ndarray, "height width *c"], side_px: int = MOST_SIDE_PX
+) -> UInt8[np.ndarray, "h w *c"]:
+    """The picture with a longer side of at most so many pixels, area-averaged."""
+    scale = side_px / max(picture.shape[:2])
     if scale >= 1:
         return np.ascontiguousarray(picture)
     size = (round(picture.shape[1] * scale), round(picture.shape[0] * scale))

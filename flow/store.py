@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float16, Float32, Int, Int16, UInt8
 
 from devrf.capture.arrays import ArrayError, read_npz
-from devrf.capture.durable import sync
+from devrf.capture.durable import whole
 from devrf.capture.errors import FlowError
 
 STEPS_PER_PX = 64
@@ -62,8 +62,7 @@ def write_pair(
     steps = np.rint(np.where(confidence[..., None] > 0, flow, 0) * STEPS_PER_PX).astype(np.int16)
     folded = _folded(_carried_on(steps, confidence > 0))
     path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_name(f".{path.name}.tmp")
-    with new.open("wb") as file:
+    with whole(path, alone=True) as new, new.open("wb") as file:
         np.savez_compressed(
             file,
             low=(folded & 255).astype(np.uint8),
@@ -71,8 +70,6 @@ def write_pair(
             confidence=confidence,
             checks=np.array(json.dumps(dict(checks))),
         )
-    sync(new)  # or a power cut could leave a hole under a name that counts
-    new.replace(path)
 
 
 def read_pair(path: Path) -> tuple[Float16[np.ndarray, "height width 2"], UInt8[np.ndarray, "height width"]]:

@@ -1,6 +1,5 @@
 """A capture that has been calibrated, as a scene: its pictures with cameras and exact times, and its box."""
 
-import json
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
@@ -16,11 +15,13 @@ from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.colour.result import read_colours
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
+from devrf.capture.durable import write_json
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_motion
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.measure import Measure, of_test
+from devrf.capture.progress import part
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
 from devrf.pipelines.clock_check import clock_check
 from devrf.pipelines.clocks import clock_dict, read_clocks, read_contradictions
@@ -64,9 +65,7 @@ def scene_from_capture(
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
     context.progress(0.4, "what moves")
     points = None if whole is None else _points(whole, factor, every)
-    mattes = scene_mattes(
-        context, frames, static, dynamic, lambda done, text: context.progress(0.4 + 0.4 * done, text)
-    )
+    mattes = scene_mattes(context, frames, static, dynamic, part(context.progress, 0.4, 0.4))
     used = {frame.camera_name for frame in dynamic if frame.split == "train"}
     clips = {
         name: filmed_clip(ingest, camera, rig.cameras[name].camera, clocks[name])
@@ -174,7 +173,7 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
     ) -> tuple[dict[str, Clock], list[Measure], dict[str, Any]]:
         return clock_check(
             ingest, asked, cameras, clocks, motion,
-            lambda done, text: context.progress(0.4 * (n + done) / parts, text),
+            part(context.progress, 0.4 * n / parts, 0.4 / parts),
             () if test is None else frames.trained, contradictions.get(test),
         )  # fmt: skip
 
@@ -192,8 +191,7 @@ def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Cloc
         content["cameras"][name] = clock_dict(found[name])
         content["tests"][name] = {key: value for key, value in told.items() if key != "cameras"}
         context.measures += of_test(name, measured)
-    text = json.dumps(content, allow_nan=False) + "\n"
-    (context.out / "clock_check.json").write_text(text, encoding="utf-8")
+    write_json(context.out / "clock_check.json", content, indent=None)
     return clocks
 
 

@@ -83,7 +83,7 @@ def check(
 
         check_inputs(job.config, job.scene_dir, {"ingest", "scene"})
 
-        go = check_command.check(talk, job.config, job.scene_dir, job.run_dir, as_json)
+        go = check_command.check(job, as_json)
     raise typer.Exit(DONE if go else UNHEALTHY)
 
 

@@ -63,7 +63,7 @@ def report(
     if not stale and {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {
         "report"
     }:
-        run_command.only("report", scene, preset, overrides, talk)
+        run_command.only(job, "report", scene)
     from devrf.pipelines.stages.report import report_so_far
 
     with errors_told(talk):
@@ -119,7 +119,7 @@ def view(
     from devrf.pipelines.viewer import command as viewer_command
 
     with errors_told(talk):
-        viewer_command.view(talk, job, device, host, port, allow_host or ())
+        viewer_command.view(job, device, host, port, allow_host or ())
 
 
 def render(
@@ -162,11 +162,11 @@ def render(
     from devrf.pipelines.film.plan import Asked
 
     asked = Asked(path, time, seconds, fps, size, layers, without, film_format, out)
+    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=asked.nothing)
     if asked.nothing:
-        run_command.only("render", scene, preset, overrides, talk, device)
-    job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
+        run_command.only(job, "render", scene, device)
     with errors_told(talk), _stopped_told(talk, "film"):
-        command.film(talk, job, asked, device)
+        command.film(job, asked, device)
 
 
 def export(

@@ -5,9 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
 from devrf.calibration.clocks.equations import Clock
@@ -25,6 +24,7 @@ from devrf.capture.frames import CameraFrames
 from devrf.capture.measure import Measure
 from devrf.capture.pictures import read_grey
 from devrf.capture.progress import Progress
+from devrf.capture.survey import small
 from devrf.pipelines.clocks import clock_dict, curve_dict
 from devrf.pipelines.health.clock import (
     BY_TRACKING,
@@ -67,7 +67,7 @@ def timed_pictures(
         files = [folder / str(f.file) for f in shown[name]]
         inside = np.flatnonzero((time_s >= from_s) & (time_s <= to_s))
         if len(inside) >= MIN_FRAMES:
-            grey = np.stack([_small(files[i]) for i in inside])
+            grey = np.stack([small(read_grey(files[i]), SIDE_PX) for i in inside])
             views[name] = TimedPictures(cameras[name], grey, time_s[inside])
     return views
 
@@ -162,22 +162,10 @@ def unknown_clocks(used: Mapping[str, Clock], why: str, frames: Mapping[str, Cam
 
 
 def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:
-    pairs = [
-        {
-            "first": p.first,
-            "second": p.second,
-            "by": p.by,
-            "offset_s": p.offset_s,
-            "std_s": p.std_s,
-            "sharp": p.sharp,
-        }
-        | curve_dict(p.lags_s, p.values)
-        for p in check.pairs
-    ]
     return {
         "cameras": {name: clock_dict(clock) for name, clock in used.items()},
         "corrections": {name: asdict(c) for name, c in check.corrections.items()},
-        "pairs": pairs,
+        "pairs": [curve_dict(pair) for pair in check.pairs],
         "loops": [asdict(loop) for loop in check.loops],
         "notes": list(check.notes),
     }
@@ -199,10 +187,3 @@ def _busiest(
         moved += (total[last] - total[first]) / max(total[-1], 1e-9)
     best_s = float(starts[np.argmax(moved)])
     return best_s, best_s + length_s
-
-
-def _small(path: Path) -> UInt8[np.ndarray, "h w"]:
-    grey = read_grey(path)
-    scale = min(1.0, SIDE_PX / max(grey.shape))
-    size = (round(grey.shape[1] * scale), round(grey.shape[0] * scale))
-    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)

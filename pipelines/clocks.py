@@ -1,32 +1,25 @@
 """Clocks on disk, as stage `sync` and the check by geometry write them."""
 
-import json
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import Float
-
 from devrf.calibration.clocks.equations import Clock
+from devrf.capture.durable import read_json, read_object
 
 
 def clock_dict(clock: Clock) -> dict[str, Any]:
     """A clock as it is written to `sync.json` and `clock_check.json`."""
-    return {
-        "offset_s": clock.offset_s,
-        "drift_ppm": clock.drift_ppm,
-        "std_s": clock.std_s if math.isfinite(clock.std_s) else None,
-        "method": clock.method,
-        "confidence": clock.confidence,
-        "basis": clock.basis,
-    }
+    return asdict(clock) | {"std_s": clock.std_s if math.isfinite(clock.std_s) else None}
 
 
-def curve_dict(lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> dict[str, list[float]]:
-    """How well two clips agree at each lag, as it is written to `curves.json` and `clock_check.json`."""
-    return {"lags_s": [round(float(x), 6) for x in lags_s], "values": [round(float(x), 5) for x in values]}
+def curve_dict(curve: Any) -> dict[str, Any]:
+    """How well clips agree at each lag, a `Curve` or `PairCheck`, as `curves.json` and `clock_check.json` have it."""
+    lags_s, values = curve.lags_s.tolist(), curve.values.tolist()
+    rounded = {"lags_s": [round(x, 6) for x in lags_s], "values": [round(x, 5) for x in values]}
+    return asdict(curve) | rounded
 
 
 def read_clocks(run_dir: Path, joint: bool = False) -> dict[str, Clock]:
@@ -36,26 +29,22 @@ def read_clocks(run_dir: Path, joint: bool = False) -> dict[str, Clock]:
         run_dir: The run folder.
         joint: Also those of clips that only show the board, under the clips' own names.
     """
-    content = _content(run_dir / "sync" / "sync.json")
+    content = read_object(run_dir / "sync" / "sync.json")
     clips = content.get("joint", {}).get("cameras", {}) if joint else {}
     return _clocks({**clips, **content.get("cameras", {})})
 
 
 def clocks_in_use(run_dir: Path) -> dict[str, Clock]:
     """The clocks that gave the scene its times: those of stage `sync`, unless geometry replaced some of them."""
-    checked = _content(run_dir / "scene" / "clock_check.json")
+    checked = read_object(run_dir / "scene" / "clock_check.json")
     return _clocks(checked["cameras"]) if checked else read_clocks(run_dir)
 
 
 def read_contradictions(run_dir: Path) -> dict[str | None, float | None]:
     """Largest contradiction between pairs of cameras, seconds: of those that are trained on (None), of test cameras."""
-    content = json.loads((run_dir / "sync" / "sync.json").read_text())
+    content = read_json(run_dir / "sync" / "sync.json")
     tests = {name: entry["loop_s"] for name, entry in content.get("tests", {}).items()}
     return {None: content.get("loop_s"), **tests}
-
-
-def _content(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text()) if path.is_file() else {}
 
 
 def _clocks(entries: Mapping[str, Mapping[str, Any]]) -> dict[str, Clock]:

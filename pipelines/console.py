@@ -1,6 +1,7 @@
 """What a run says: a bar with the time left on a terminal, plain lines elsewhere, everything in the logs."""
 
 import logging
+import math
 import sys
 import time
 from collections.abc import Iterator
@@ -96,12 +97,13 @@ class Talk:
 
     @contextmanager
     def progress(self, title: str) -> Iterator[ProgressCallback]:
-        """A callback that shows how far a stage is."""
+        """A callback that shows how far a stage is; no fraction can be what breaks a stage."""
         with self._shown(title) as show:
             last = time.monotonic()
 
             def told(fraction: float, message: str) -> None:
                 nonlocal last
+                fraction = min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0
                 if (now := time.monotonic()) - last >= EVENT_EVERY_S:
                     last = now
                     self.event("progress", stage=title, fraction=round(fraction, 4), text=message)

@@ -9,7 +9,7 @@ from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.board_route import weak_intrinsics
 from devrf.calibration.rigs.board_views import TimedView
 from devrf.capture.frames import CameraFrames
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.progress import Progress, no_progress, part
 from devrf.pipelines.board_clips import BoardClips
 from devrf.pipelines.clocks import read_clocks
 
@@ -50,10 +50,7 @@ def read_joint_views(
     start, known, own = dict(calibrated), dict(calibrated), {}
     for n, name in enumerate(names):
         entry = frames.joint[name]
-
-        def step(fraction: float, message: str, n: int = n) -> None:
-            progress((n + fraction) / len(names), message)
-
+        step = part(progress, n / len(names), 1 / len(names))
         seen = clips.search(name, entry, spec if n else None, step)
         spec = seen.spec  # one board: as the clip before settled it
         views[name] = _timed(seen.views, frames.cameras[entry], clocks.get(entry, Clock(0.0, 0.0)))

@@ -43,7 +43,7 @@ def check_raw_files(config: SceneConfig, scene_dir: Path) -> list[str]:
         *_check_sound(config, session),
         *_check_timecode(config, session),
         *_check_given(config, scene_dir, session),
-        *_check_photos(config, session),
+        *photos_too_large(config, session),
     ]
 
 
@@ -107,11 +107,23 @@ def _check_timecode(config: SceneConfig, session: CaptureSession) -> list[str]:
     return [f"capture.timestamps: {no_timecode(without)}"] if without else []
 
 
-def _check_photos(config: SceneConfig, session: CaptureSession) -> list[str]:
-    """Photos that are too large for the memory that is allowed."""
-    from devrf.pipelines.budget.raw_files import photos_too_large
+def photos_too_large(config: SceneConfig, session: CaptureSession) -> list[str]:
+    """What is wrong with photos of which not even one fits into the memory that is allowed, one text per folder."""
+    from devrf.capture.photo_folders import list_pictures
+    from devrf.capture.pictures import probe_picture
+    from devrf.pipelines.budget.at_once import BASE, photo_bytes
+    from devrf.pipelines.budget.memory import too_much
 
-    return photos_too_large(config, session)
+    problems = []
+    for folder in (session.static, *session.board_clips.values()):
+        if folder is None or not folder.is_dir():
+            continue
+        largest = max(list_pictures(folder), key=photo_bytes)
+        if (wrong := too_much(config, BASE + photo_bytes(largest))) is not None:
+            photo = probe_picture(largest)
+            size = f"{photo.width}x{photo.height}"
+            problems.append(f"{largest}: a photo of {size} needs {wrong}, or make the photos smaller")
+    return problems
 
 
 def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:

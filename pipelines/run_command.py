@@ -35,8 +35,7 @@ def prepare(
         config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
         job = Run(config, scene_dir, STAGES, choice or Choice(), talk)
         if choice is not None:
-            check_choice(job)
-            check_run_folder(job.run_dir, stage_names())
+            _check_run(job)
     return job
 
 
@@ -64,21 +63,19 @@ def check(job: Run, found: Sequence[Standing], device: str) -> None:
         check_inputs(job.config, job.scene_dir, to_do)
 
 
-def only(
-    stage: str,
-    scene: Path,
-    preset: str | None,
-    overrides: Sequence[str] | None,
-    talk: Talk,
-    device: str = "cpu",
-) -> NoReturn:
-    """Run one stage of a run that has been made before, and end with the exit code."""
-    choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
-    job = prepare(talk, scene, preset, overrides, choice)
-    with errors_told(talk):
+def only(job: Run, stage: str, scene: Path, device: str = "cpu") -> NoReturn:
+    """Run one stage of a run that has been made before of a `scene`, and end with the exit code."""
+    job.choice = Choice(first=stage, last=stage, force=(stage,), allow_unhealthy=True)
+    with errors_told(job.talk):
+        _check_run(job)
         check_reads(job, f"run the scene first (devrf-pipeline run {scene})")
         job.device = resolve_device(device, job.config.budget.gpu_memory_gb)
     carry_out(job)
+
+
+def _check_run(job: Run) -> None:
+    check_choice(job)
+    check_run_folder(job.run_dir, stage_names())
 
 
 def stale(job: Run, until: str) -> dict[str, str]:

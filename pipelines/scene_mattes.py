@@ -15,8 +15,9 @@ from devrf.capture.mattes.chroma import parse_colour
 from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
 from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes, given_mattes
 from devrf.capture.photo_folders import list_pictures
-from devrf.capture.progress import Progress
+from devrf.capture.progress import Progress, part
 from devrf.capture.scene import PosedFrame
+from devrf.capture.spread import spread
 from devrf.pipelines.capture_session import raw_file
 from devrf.pipelines.config.scene import MattesConfig
 from devrf.pipelines.health.left_out import left_out
@@ -61,8 +62,8 @@ class SceneMattes:
         if len(moving) > 1 or SWEEP not in self.cameras:
             return moving
         facts, cameras = self.cameras[SWEEP].facts, self.small[SWEEP]
-        chosen = np.unique(np.linspace(0, len(facts) - 1, HULL_PICTURES).round().astype(int))
-        return [MotionMask(cameras[n], facts[n].small) for n in chosen]
+        chosen = spread(list(zip(cameras, facts, strict=True)), HULL_PICTURES)
+        return [MotionMask(camera, fact.small) for camera, fact in chosen]
 
 
 def scene_mattes(
@@ -82,13 +83,8 @@ def scene_mattes(
     make, names = _maker(capture.mattes, context, out, list(clips))
     made: dict[str, CameraMattes] = {}
     for n, name in enumerate(names):
-        clip = clips[name]
-
-        def part(share: float, text: str, n: int = n) -> None:
-            progress((n + share) / len(names), text)
-
         try:
-            made[name] = make(clip, part)
+            made[name] = make(clips[name], part(progress, n / len(names), 1 / len(names)))
         except DevrfError as error:
             if name not in frames.tests:
                 raise

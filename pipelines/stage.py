@@ -1,5 +1,6 @@
 """What a stage is, and what it is given. Files in, files out; no hidden state; no stage calls another."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,11 +8,30 @@ from typing import TYPE_CHECKING, Any
 
 from devrf.capture.measure import Measure
 from devrf.capture.progress import Progress
-from devrf.pipelines.budget.allowance import UNBOUNDED, Allowance
 from devrf.pipelines.health.judge import HealthRow, judge
 
 if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What one stage may use; None everywhere: as much as there is.
+
+    Attributes:
+        memory: Main memory of the stage with the process around it, bytes.
+        gpu: Memory of the GPU that a training may take, bytes.
+        until: When it should be done, on the clock of `time.monotonic`, seconds.
+    """
+
+    memory: int | None = None
+    gpu: int | None = None
+    until: float | None = None
+
+    @property
+    def left_s(self) -> float | None:
+        """Seconds it has left; None: as long as it takes."""
+        return None if self.until is None else max(0.0, self.until - time.monotonic())
 
 
 @dataclass
@@ -44,7 +64,7 @@ class StageContext:
     made_from: dict[str, Any] = field(default_factory=dict)
     referred: list[Path] = field(default_factory=list)
     afterwards: list[Callable[[], None]] = field(default_factory=list)
-    allowance: Allowance = UNBOUNDED
+    allowance: Allowance = field(default_factory=Allowance)
 
     @property
     def health(self) -> list[HealthRow]:

@@ -13,7 +13,7 @@ from devrf.calibration.motion_masks import MASK_FRAMES, MASK_SIDE_PX, MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames
 from devrf.capture.pictures import read_grey
-from devrf.reconstruct.pictures import spread
+from devrf.capture.spread import spread
 
 FEWEST_PICTURES = 3  # of which a mask is made
 STRETCHES = 12  # of the modelled time: of four pictures each in long clips

@@ -21,12 +21,13 @@ from scipy.special import stdtrit
 from torch import Tensor
 
 from devrf.capture.scene import Scene
+from devrf.capture.spread import spread
 from devrf.reconstruct.clocks import error_curves, picture_gap_s
 from devrf.reconstruct.grids import voxel_size
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.moving_pixels import changing_pixels, draw_with_importance, grown_pixels
 from devrf.reconstruct.options import CHUNK
-from devrf.reconstruct.pictures import clips, spread
+from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rays import RaySet
 from devrf.reconstruct.surroundings import PixelSurroundings
 

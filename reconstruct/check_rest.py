@@ -25,13 +25,14 @@ from scipy.ndimage import gaussian_filter, label
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene, load_image, plain_colour
+from devrf.capture.spread import spread
 from devrf.reconstruct.aligned import aligned
 from devrf.reconstruct.clocks import picture_gap_s
 from devrf.reconstruct.displacement import Displacement, displacement, textured_blocks
 from devrf.reconstruct.grids import voxel_size
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.moving_pixels import changing_pixels
-from devrf.reconstruct.pictures import clips, spread
+from devrf.reconstruct.pictures import clips
 from devrf.reconstruct.rays import RaySet, camera_rays
 from devrf.reconstruct.render import segments_in
 from devrf.reconstruct.rest_model import RestModel

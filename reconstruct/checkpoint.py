@@ -19,7 +19,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from devrf.capture.durable import sync
+from devrf.capture.durable import sync, whole
 from devrf.capture.errors import OutOfTime, ReconstructError
 from devrf.reconstruct.tensor_file import save_tensors
 from devrf.reconstruct.training_log import TrainingLog
@@ -123,19 +123,16 @@ class Checkpoint:
         numbers = json.dumps(
             saved.numbers | {"done": saved.done, "of": self.fingerprint, "chosen": self.chosen}
         )
-        new = self.path.with_name(f".{self.path.name.lstrip('.')}.tmp")
         try:
-            proof = {"head": _digest(numbers, {}), "digest": _digest(numbers, ready)}
-            save_tensors(new, ready, {"devrf": numbers} | proof)
-            sync(new)
-            new.replace(self.path)
+            with whole(self.path, alone=True) as new:
+                proof = {"head": _digest(numbers, {}), "digest": _digest(numbers, ready)}
+                save_tensors(new, ready, {"devrf": numbers} | proof)
             sync(self.path.parent)
             written = True
-        except BaseException as error:
-            new.unlink(missing_ok=True)
-            if not isinstance(error, OSError | SafetensorError):
-                raise
-            # a full disk: the one before stays, training need not end
+        except (
+            OSError,
+            SafetensorError,
+        ) as error:  # a full disk: the one before stays, training need not end
             logger.warning("%s: the checkpoint cannot be written (%s)", self.path, error)
         self._written = time.monotonic()
         self._gap_s, self._timed = max(FIRST_S, (self._written - start) / SHARE), True

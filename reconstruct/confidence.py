@@ -15,9 +15,10 @@ from jaxtyping import Bool, Float, Float64, Int
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.spread import spread
 from devrf.reconstruct.geometry.field import moved
 from devrf.reconstruct.model import SOLID, DynamicModel, render_layers
-from devrf.reconstruct.pictures import clips, spread, training
+from devrf.reconstruct.pictures import clips, training
 
 EVERY = 4  # pixel of a training picture, in both directions, is what its witness has
 MOST_OF_SWEEP = 10  # witnesses at rest, spread over the sweep

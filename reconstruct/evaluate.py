@@ -26,12 +26,13 @@ from devrf.capture.picture_files import write_png
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.resize import shrink
 from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.capture.spread import spread
 from devrf.reconstruct.error_map import error_map
 from devrf.reconstruct.lpips import SMALLEST_SIDE as LPIPS_SMALLEST_SIDE
 from devrf.reconstruct.lpips import Lpips
 from devrf.reconstruct.lpips_weights import Source
 from devrf.reconstruct.metrics import SSIM_TAPS, Comparison, Scores, psnr
-from devrf.reconstruct.pictures import in_two, spread
+from devrf.reconstruct.pictures import in_two
 from devrf.reconstruct.still_picture import StillPicture, still_picture
 
 Render = Callable[[Camera, float | None], Float32[np.ndarray, "height width 3"]]

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
+from devrf.capture.spread import spread
 from devrf.reconstruct.moving_pixels import ChangingPixels
 from devrf.reconstruct.paired import LEAST_MOMENTS
-from devrf.reconstruct.pictures import spread
 from devrf.reconstruct.rays import RayBatch, RaySet
 
 ONE_IN = 32  # pixels is left out

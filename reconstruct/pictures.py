@@ -1,13 +1,8 @@
-"""Which of a scene's pictures are looked at: those that are trained on, by camera, and a few of many."""
+"""Which of a scene's pictures are looked at: those that are trained on, by camera."""
 
 from collections.abc import Sequence
-from typing import TypeVar
-
-import numpy as np
 
 from devrf.capture.scene import PosedFrame, Scene
-
-Item = TypeVar("Item")
 
 
 def training(frames: Sequence[PosedFrame]) -> tuple[PosedFrame, ...]:
@@ -32,9 +27,3 @@ def in_two(frames: Sequence[PosedFrame]) -> tuple[list[PosedFrame], list[PosedFr
 def stands(frames: Sequence[PosedFrame]) -> bool:
     """Whether a camera has one pose and one lens in all of these pictures."""
     return len({frame.camera.view for frame in frames}) == 1
-
-
-def spread(items: Sequence[Item], most: int) -> list[Item]:
-    """At most so many of them, evenly spread."""
-    at = np.linspace(0, len(items) - 1, min(len(items), most)).round().astype(int)
-    return [items[n] for n in at.tolist()]

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float32, UInt8
 from scipy.ndimage import binary_opening, gaussian_filter, maximum_filter
 
 from devrf.capture.scene import PosedFrame, Scene, load_image
-from devrf.reconstruct.pictures import clips, spread, stands
+from devrf.capture.spread import spread
+from devrf.reconstruct.pictures import clips, stands
 
 MOST_PICTURES, FEWEST_PICTURES = 61, 5  # of a plate
 MOST_BYTES = 1 << 28  # of a plate's pictures: 43 of 1920 x 1080

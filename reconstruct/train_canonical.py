@@ -11,7 +11,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from devrf.capture.errors import ReconstructError
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.progress import Progress, no_progress, part
 from devrf.capture.scene import Scene
 from devrf.reconstruct.canonical import EMPTY, Canonical
 from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint, Saved, State
@@ -82,13 +82,13 @@ def train_canonical(
         text = "the sweep has no training pictures; the scene at rest cannot be learned"
         raise ReconstructError("pictures-none", text)
     log = TrainingLog(device, LOG_EVERY)
-    rays = RaySet(frames, scene.image_scale, scene.background, device, lambda f, m: progress(READING * f, m))
+    rays = RaySet(frames, scene.image_scale, scene.background, device, part(progress, 0.0, READING))
     fixed, shares = plates(scene, device)
     generator = torch.Generator().manual_seed(options.seed)
     plain = plain_of(scene.background, device)
     aabb, hull = subject_box(
         scene, frames, rays, plain, options, generator,
-        lambda share, text: progress(READING + COARSE * share, text), log, checkpoint,
+        part(progress, READING, COARSE), log, checkpoint,
     )  # fmt: skip
     decision = None
     if options.adapt:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from devrf.capture.errors import ReconstructError
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.progress import Progress, no_progress, part
 from devrf.capture.scene import Scene
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
@@ -123,7 +123,7 @@ def _movers(
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None  # it can be tracked
     found, decisions = find_movers(
-        boxed, rest, estimator(), lambda f, m: progress(TRACKING * f, m), checkpoint.part("tracks"), log
+        boxed, rest, estimator(), part(progress, 0.0, TRACKING), checkpoint.part("tracks"), log
     )
     if found is None:
         return Decision("movers", "none", "tracked", "too few points of the surface move")
@@ -138,7 +138,7 @@ def _movers(
             found.movers,
             options,
             device,
-            lambda f, m: progress(TRACKING + (1 - TRACKING) * f, m),
+            part(progress, TRACKING, 1 - TRACKING),
             checkpoint.part("movers"),
             found.offsets_s,
             pictures,
@@ -219,7 +219,7 @@ def _field(
         motion,
         options,
         device,
-        lambda f, m: progress(share + (1 - share) * f, m),
+        part(progress, share, 1 - share),
         checkpoint.part("fine-tuning"),
     )
     metrics = _with_cost_of(metrics, tuned.metrics)

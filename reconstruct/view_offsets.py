@@ -14,9 +14,10 @@ from jaxtyping import UInt8
 
 from devrf.capture.picture_files import to_8_bits
 from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.capture.spread import spread
 from devrf.flow.estimator import FlowEstimator
 from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.pictures import in_two, spread
+from devrf.reconstruct.pictures import in_two
 from devrf.reconstruct.tracking.offsets import CLEAR, SIGMAS
 
 PICTURES = 12  # that are looked at, evenly

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.interpolate import CubicSpline
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures
+from devrf.calibration.features import mutual_matches
 from devrf.capture.camera import Camera
 
 AROUND = 2  # frames before and after a moment at which the first camera's track is compared
@@ -23,7 +24,7 @@ MOVING_LEVELS = 12.0  # grey levels a pixel changes over the clip: the subject, 
 SIFT_CONTRAST = 0.015  # below OpenCV's 0.04: skin and cloth are plain; wrong ones fail the ratio test
 BACK_PX = 0.5  # a track that does not come back to where it started is lost
 MIN_WAY_PX = 1.0  # over the whole track; what stands still says nothing of time
-RATIO = 0.8  # second best to best descriptor (Lowe, IJCV 2004, Section 7.1)
+RATIO = 0.8  # second best to best descriptor
 CUT_PX = 2.0  # errors beyond count as this much: a wrong match
 WRONG_SHARE = 0.5  # more wrong matches than this: views too different for descriptors
 LAGS_PER_FRAME = 8  # of the trial delays; a parabola interpolates
@@ -134,7 +135,7 @@ def track_delay(
         p, q = first.at(first.near(first_s), AROUND), second.at(second.near(second_s), reach)
         if p is None or q is None:
             continue
-        for i, j in _matches(p, q):
+        for i, j in zip(*mutual_matches(p.descriptors, q.descriptors, RATIO), strict=True):
             error = _errors(E, p.time_s, p.points[i], q.time_s, q.points[j], lags_s)
             if error is not None:
                 errors.append(np.minimum(focal_px * error, CUT_PX))
@@ -210,18 +211,6 @@ def _lowest(lags_s: Float[np.ndarray, " n"], values: Float[np.ndarray, " n"]) ->
     bend = left - 2 * mid + right
     shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
     return float(lags_s[k] + shift * (lags_s[1] - lags_s[0]))
-
-
-def _matches(p: Tracks, q: Tracks) -> list[tuple[int, int]]:
-    """Pairs of tracks that are each other's nearest by descriptor, and clearly nearer than the next."""
-    if min(len(p.points), len(q.points)) < 2:
-        return []
-    likeness = p.descriptors @ q.descriptors.T
-    best = likeness.argmax(axis=1)
-    top = np.sort(likeness, axis=1)[:, -2:]
-    distance = np.sqrt(np.maximum(2 - 2 * top, 0))
-    good = (likeness.argmax(axis=0)[best] == np.arange(len(best))) & (distance[:, 1] < RATIO * distance[:, 0])
-    return [(int(i), int(best[i])) for i in np.flatnonzero(good)]
 
 
 def _describe(

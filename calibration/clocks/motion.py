@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import find_peaks
 
-from devrf.calibration.clocks.sound import fast_size
+from devrf.calibration.clocks.sound import fast_size, top_of_parabola
 from devrf.capture.rest import Rest
 
 OVERSAMPLING = 4  # grid points per frame step
@@ -147,7 +147,7 @@ def course_delay(
     margin = float(evidence[peak] - max(rivals, default=0.0))
     shift_s = first_s[0] - second_s[0]
     reach = OVERSAMPLING  # one frame step: the grid's own spacing is interpolated, and bends nothing
-    delay_s = (lags[peak] + _parabola(values, peak, reach)) * dt + shift_s
+    delay_s = (lags[peak] + top_of_parabola(values, peak, reach, most=1.0)) * dt + shift_s
     lags_s = lags * dt + shift_s
     near = np.abs(lags_s - delay_s) <= max(CURVE_S, 15 * max(steps))
     from_s, to_s = max(first_s[0], second_s[0] + delay_s), min(first_s[-1], second_s[-1] + delay_s)
@@ -240,12 +240,3 @@ def _spread(
     r = float(np.clip(values[peak], 1e-3, 0.9999))
     score = np.arctanh(r) * np.sqrt(max(independent - 3, 0.0))
     return float(sigma_s * np.sqrt((1 - r * r) / (r * r * independent))), float(score)
-
-
-def _parabola(values: Float[np.ndarray, " n"], peak: int, reach: int) -> float:
-    """Top of the parabola through a peak and the points `reach` to either side, in samples from the peak."""
-    if not reach <= peak < len(values) - reach:
-        return 0.0
-    left, mid, right = (float(values[peak + k]) for k in (-reach, 0, reach))
-    bend = left - 2 * mid + right
-    return float(np.clip(0.5 * (left - right) / bend, -1, 1)) * reach if bend < 0 else 0.0

@@ -178,7 +178,7 @@ def gcc_phat(
     height = float(values[peak])
     ratio = min(MAX_RATIO, height / second_peak) if second_peak > 0 else (MAX_RATIO if height > 0 else 0.0)
     plain = np.where(allowed, plain, 0.0)
-    delay_s = float((lags[peak] + _parabola(values, peak)) / rate + shift_s)
+    delay_s = float((lags[peak] + top_of_parabola(values, peak)) / rate + shift_s)
     lags_s = lags / rate + shift_s
     return Correlation(
         delay_s,
@@ -255,13 +255,16 @@ def _envelope(spectrum: Complex[np.ndarray, " bins"], n: int) -> Float[np.ndarra
     return np.abs(np.fft.ifft(full))
 
 
-def _parabola(values: Float[np.ndarray, " n"], peak: int) -> float:
-    """Where the parabola through a peak and its two neighbours is highest, in samples from the peak."""
-    if not 0 < peak < len(values) - 1:
+def top_of_parabola(values: Float[np.ndarray, " n"], peak: int, reach: int = 1, most: float = 0.5) -> float:
+    """Top of the parabola through a peak and the points `reach` to either side, in samples from the peak.
+
+    It is at most `most` times the reach away; 0 where a point is missing, or the peak is none.
+    """
+    if not reach <= peak < len(values) - reach:
         return 0.0
-    left, mid, right = (float(v) for v in values[peak - 1 : peak + 2])
+    left, mid, right = (float(values[peak + k]) for k in (-reach, 0, reach))
     bend = left - 2 * mid + right
-    return float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+    return float(np.clip(0.5 * (left - right) / bend, -most, most)) * reach if bend < 0 else 0.0
 
 
 def _curve(

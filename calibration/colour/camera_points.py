@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.colour.surface import Pairs, View, shared_colours
+from devrf.calibration.features import mutual_matches
 from devrf.capture.camera import Camera
 
 SIDE_PX = 1280  # of the longer side; finer features find no partner in another view
@@ -65,25 +66,13 @@ def _meeting(
     a: Camera, of_a: Features, b: Camera, of_b: Features
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
     """Points where lines of sight of matched features meet, and the features' places."""
-    i, j = _matched(of_a[1], of_b[1])
+    i, j = mutual_matches(of_a[1], of_b[1], RATIO)
     xy_a, xy_b = of_a[0][i], of_b[0][j]
     points, before = _between(a, xy_a, b, xy_b)
     miss = np.maximum(*(np.linalg.norm(c.project(points) - xy, axis=1) / max(c.width, c.height)
                         for c, xy in ((a, xy_a), (b, xy_b))))  # fmt: skip
     good = before & (miss < MISS_SHARE)
     return points[good], xy_a[good], xy_b[good]
-
-
-def _matched(a: Float[np.ndarray, "n 128"], b: Float[np.ndarray, "m 128"]) -> tuple[np.ndarray, np.ndarray]:
-    """Each other's nearest, clearly nearer than the next."""
-    if min(len(a), len(b)) < 2:
-        return np.zeros(0, int), np.zeros(0, int)
-    likeness = a @ b.T  # of unit vectors: squared distance is 2 - 2 likeness
-    best = likeness.argmax(axis=1)
-    top = np.partition(likeness, -2, axis=1)[:, -2:]
-    second, first = np.sqrt(np.maximum(2 - 2 * top, 0)).T
-    good = (likeness.argmax(axis=0)[best] == np.arange(len(a))) & (first < RATIO * second)
-    return np.flatnonzero(good), best[good]
 
 
 def _between(

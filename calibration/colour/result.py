@@ -1,6 +1,5 @@
 """What is known of every camera's colours, on disk: colour.json, and beside it gains by frame."""
 
-import json
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +10,7 @@ from jaxtyping import Float, Int
 
 from devrf.calibration.colour.match import Apart
 from devrf.capture.arrays import read_npy
+from devrf.capture.durable import read_json, write_json
 from devrf.capture.errors import CaptureError
 from devrf.capture.look import EVEN, SAME, Gains, Look, Matrix, as_gains
 
@@ -89,8 +89,7 @@ class Colours:
             "total": asdict(self.total),
             "cameras": {name: asdict(camera) for name, camera in self.cameras.items()},
         }
-        text = json.dumps(content, indent=1, allow_nan=False)
-        (self.folder / FILE).write_text(text + "\n", encoding="utf-8")
+        write_json(self.folder / FILE, content)
 
 
 def read_colours(folder: Path) -> Colours:
@@ -101,7 +100,7 @@ def read_colours(folder: Path) -> Colours:
     """
     path = folder / FILE
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path)
         cameras = {name: _camera(entry) for name, entry in content["cameras"].items()}
         return Colours(folder, content["reference"], cameras, Apart(**content["total"]))
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.calibration.rigs.bump import FEATURES, MIN_BACKGROUND, background_motion, normalised
+from devrf.calibration.rigs.bump import background_features, background_motion, normalised
 
 STANDS = 0.02  # of the width; a tripod in wind stays below 0.2 %, a hand that tries to hold still does not
 FOUND = 0.5  # of the pictures in which the first one's background is found again
@@ -33,20 +32,16 @@ def steadiness(greys: Sequence[UInt8[np.ndarray, "h w"]]) -> Steadiness:
     if len(greys) < 2:
         return Steadiness(None, np.nan, 0.0)
     middle = normalised(greys[len(greys) // 2])
-    start = cv2.goodFeaturesToTrack(middle, FEATURES, 0.01, 8)
-    if start is None or len(start) < MIN_BACKGROUND:
+    start = background_features(middle)
+    if start is None:
         return Steadiness(None, np.nan, 0.0)
-    height, width = middle.shape
-    frame = np.array([[0, 0], [width, 0], [0, height], [width, height]], dtype=np.float64)
     moved = []
     for n, grey in enumerate(greys):
         if n == len(greys) // 2:
             continue
-        found = background_motion(middle, normalised(grey), np.asarray(start, np.float32))
+        found = background_motion(middle, normalised(grey), start)
         if found is not None:
-            matrix, _ = found
-            steps = frame @ matrix[:, :2].T + matrix[:, 2] - frame
-            moved.append(float(np.linalg.norm(steps, axis=1).max()) / width)
+            moved.append(float(np.linalg.norm(found[0], axis=1).max()) / middle.shape[1])
     share = len(moved) / (len(greys) - 1)
     typical = float(np.median(moved)) if moved else np.nan
     return Steadiness(share >= FOUND and typical <= STANDS, typical, share)

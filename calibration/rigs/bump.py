@@ -11,9 +11,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from devrf.capture.pictures import read_grey
+from devrf.capture.spread import spread
 
 PICTURES = 25  # of the clip that are looked at: a bump is found to a twenty-fifth of its length
 FEATURES = 600
@@ -46,22 +47,19 @@ def find_bump(files: Sequence[Path], times_s: Sequence[float]) -> Bump | None:
     Returns:
         The largest movement, however small; None with too few pictures or too little background to tell.
     """
-    chosen = np.unique(np.linspace(0, len(files) - 1, PICTURES).round().astype(int)) if files else []
+    chosen = spread(range(len(files)), PICTURES)
     if len(chosen) < 2 * SIDE:
         return None
     first = normalised(read_grey(files[chosen[0]]))
-    height, width = first.shape
-    frame = np.array([[0, 0], [width, 0], [0, height], [width, height]], dtype=np.float64)
-    start = cv2.goodFeaturesToTrack(first, FEATURES, 0.01, 8)
-    if start is None or len(start) < MIN_BACKGROUND:
+    start = background_features(first)
+    if start is None:
         return None
     corners, counts, times = [np.zeros((4, 2))], [], [times_s[chosen[0]]]
     for n in chosen[1:]:
-        found = background_motion(first, normalised(read_grey(files[n])), np.asarray(start, np.float32))
+        found = background_motion(first, normalised(read_grey(files[n])), start)
         if found is not None:
-            matrix, count = found
-            corners.append(frame @ matrix[:, :2].T + matrix[:, 2] - frame)
-            counts.append(count)
+            corners.append(found[0])
+            counts.append(found[1])
             times.append(times_s[n])
     if len(corners) < max(2 * SIDE, len(chosen) // 2):
         return None
@@ -69,10 +67,18 @@ def find_bump(files: Sequence[Path], times_s: Sequence[float]) -> Bump | None:
     return Bump(moved_px, float((times[split - 1] + times[split]) / 2), int(np.median(counts)))
 
 
+def background_features(picture: UInt8[np.ndarray, "h w"]) -> Float32[np.ndarray, "n 1 2"] | None:
+    """Features that can be followed into other pictures [n, 1, 2], pixels; None where there are too few."""
+    found = cv2.goodFeaturesToTrack(picture, FEATURES, 0.01, 8)
+    return None if found is None or len(found) < MIN_BACKGROUND else np.asarray(found, np.float32)
+
+
 def background_motion(
-    first: UInt8[np.ndarray, "h w"], other: UInt8[np.ndarray, "h w"], start: Float[np.ndarray, "n 1 2"]
-) -> tuple[Float[np.ndarray, "2 3"], int] | None:
-    """Similarity [2, 3] from the first picture to another, and how many features agree on it."""
+    first: UInt8[np.ndarray, "h w"], other: UInt8[np.ndarray, "h w"], start: Float32[np.ndarray, "n 1 2"]
+) -> tuple[Float[np.ndarray, "4 2"], int] | None:
+    """How far a similarity from the first picture to another carries the picture's corners, pixels, and how many
+    features agree on it; None where too few do.
+    """
     there, ok, _ = cv2.calcOpticalFlowPyrLK(first, other, start, start.copy())
     back, ok_back, _ = cv2.calcOpticalFlowPyrLK(other, first, there, start.copy())
     good = (np.asarray(ok).reshape(-1) > 0) & (np.asarray(ok_back).reshape(-1) > 0)
@@ -86,7 +92,10 @@ def background_motion(
     count = 0 if inliers is None else int(np.asarray(inliers).sum())
     if matrix is None or count < MIN_BACKGROUND:
         return None
-    return np.asarray(matrix, dtype=np.float64), count
+    height, width = first.shape
+    frame = np.array([[0, 0], [width, 0], [0, height], [width, height]], dtype=np.float64)
+    similarity = np.asarray(matrix, dtype=np.float64)
+    return frame @ similarity[:, :2].T + similarity[:, 2] - frame, count
 
 
 def _largest_step(corners: Float[np.ndarray, "pictures 4 2"]) -> tuple[float, int]:

@@ -12,6 +12,7 @@ from jaxtyping import UInt8
 from devrf.capture.errors import CaptureError
 from devrf.capture.picture_files import read_pixels, write_png
 from devrf.capture.rest import Rest
+from devrf.capture.spread import spread
 
 CLIP_FRAMES = 21  # of the whole clip's median
 REST_FRAMES = 3
@@ -30,13 +31,12 @@ def clean_pictures(name: str, files: list[Path], rest: Rest, out: Path) -> list[
     if not files:
         text = f"camera '{name}' has no frames; check its clip and capture.range_s"
         raise CaptureError("pictures-none", text)
-    chosen = np.unique(np.linspace(0, len(files) - 1, CLIP_FRAMES).round().astype(int))
     candidates = {
         moment: [files[n] for n in rest_frames(moment, len(files))]
         for moment in (("start", "end") if rest == "auto" else (rest,))
         if moment != "none"
     }
-    candidates["clip"] = [files[i] for i in chosen]
+    candidates["clip"] = spread(files, CLIP_FRAMES)
     written = []
     for label, sources in candidates.items():
         path = out / f"{name}_{label}.png"

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from devrf.capture.spread import spread
+
 EXHAUSTIVE_UP_TO = 70  # frames of a film; all pairs beyond that take longer than the features
 OVERLAP = 8  # neighbours in a longer film
 LOOP_PICTURES = 28  # of a longer film are matched with each other, to close loops
@@ -38,7 +40,7 @@ def plan_pairs(names: list[str], ordered: bool, places: Float[np.ndarray, "n 3"]
     first, second = np.triu_indices(n, 1)
     step = second - first
     sample = np.zeros(n, dtype=bool)
-    sample[np.unique(np.linspace(0, n - 1, LOOP_PICTURES).round().astype(int))] = True
+    sample[spread(range(n), LOOP_PICTURES)] = True
     rank = np.full(len(step), 3)
     rank[sample[first] & sample[second]] = 2
     rank[(step > OVERLAP) & (step & (step - 1) == 0)] = 1

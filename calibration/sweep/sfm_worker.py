@@ -32,6 +32,7 @@ from devrf.calibration.sweep.sfm_output import (
     write_two_views,
 )
 from devrf.calibration.sweep.two_views import against_model, read_two_views, torn_apart
+from devrf.capture.durable import whole
 from devrf.capture.cores import usable_cores
 from devrf.capture.processes import die_with_parent
 
@@ -144,10 +145,8 @@ def _kind(config: int) -> str:
 
 def _leave(job: dict[str, Any], result: dict[str, Any]) -> None:
     """Write `result.json`; whoever has to stop this process finds the best so far."""
-    file = Path(job["work"]) / "result.json"
-    half = file.with_suffix(".half")
-    half.write_text(json.dumps(result))
-    half.replace(file)
+    with whole(Path(job["work"]) / "result.json") as new:
+        new.write_text(json.dumps(result))
 
 
 def extract_only(job: dict[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from devrf.capture.camera import Camera
 from devrf.capture.picture_files import read_pixels
 from devrf.capture.scene import PosedFrame
+from devrf.capture.spread import spread
 
 PAIRS = 6  # of pictures that are compared, for each order: those whose cameras are neighbours in it
 SIDE, FEATURES = 640, 1500  # pixels; of one picture
@@ -46,7 +47,7 @@ def order_that_fits(orders: Sequence[Sequence[PosedFrame]]) -> int | None:
 def _neighbours(frames: Sequence[PosedFrame]) -> list[tuple[Path, Path]]:
     centres = np.array([frame.camera.centre for frame in frames])
     out = []
-    for n in np.unique(np.linspace(0, len(frames) - 1, PAIRS).round().astype(int)):
+    for n in spread(range(len(frames)), PAIRS):
         away = np.linalg.norm(centres - centres[n], axis=1)
         away[n] = np.inf
         one, other = sorted((frames[n].path, frames[int(away.argmin())].path))

@@ -17,6 +17,7 @@ from jaxtyping import Float, Float32, UInt8
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.mattes.tidy import tidy
 from devrf.capture.picture_files import read_pixels
+from devrf.capture.spread import spread
 
 PICTURES = 12  # looked at for the key colour
 SIDE_PX = 200
@@ -37,8 +38,7 @@ def find_key(camera: str, files: Sequence[Path]) -> Float[np.ndarray, "3"]:
     Raises:
         CaptureError: There is none.
     """
-    chosen = np.unique(np.linspace(0, len(files) - 1, PICTURES).round().astype(int))
-    rgb = np.concatenate([_few_pixels(files[n]) for n in chosen]).astype(np.float32)
+    rgb = np.concatenate([_few_pixels(file) for file in spread(files, PICTURES)]).astype(np.float32)
     luma, chroma = _ycc(rgb)
     strength = np.hypot(*chroma.T)
     strong = (strength > LEAST_CHROMA) & (luma > DARK)

@@ -16,6 +16,7 @@ from jaxtyping import UInt8
 from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.frames import some
 from devrf.capture.picture_files import PICTURE_SUFFIXES, read_pixels
+from devrf.capture.spread import spread
 
 SAME_SHAPE = 0.01  # relative difference of the sides' ratio: the same picture at another size
 LOOKED_AT = 12  # mattes of a camera, for whether white and black are swapped
@@ -109,10 +110,9 @@ def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.
 
 def is_inverted(files: Sequence[Path]) -> bool:
     """Whether a camera's mattes are white around and darker inside, which shows the subject black."""
-    chosen = np.unique(np.linspace(0, len(files) - 1, LOOKED_AT).round().astype(int))
     around, inside = [], []
-    for n in chosen:
-        matte = _opacity(files[n]).astype(np.float32) / 255
+    for file in spread(files, LOOKED_AT):
+        matte = _opacity(file).astype(np.float32) / 255
         rim = max(1, round(BORDER * min(matte.shape)))
         within = matte[rim:-rim, rim:-rim]
         inside.append(float(within.mean()) if within.size else 0.0)

@@ -1,8 +1,8 @@
 """`devrf-pipeline batch`: check all scenes, run what is missing, keep a summary."""
 
 import signal
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from devrf.pipelines.console import Talk
 from devrf.pipelines.device import check_device, resolve_device
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, UNHEALTHY, code_of
+from devrf.pipelines.runner.signals import handled
 from devrf.pipelines.runner.supervise import tell
 
 CORES_PER_JOB = 2  # structure from motion keeps one core busy, training all that it gets
@@ -80,7 +81,9 @@ def batch(talk: Talk, paths: Sequence[Path], options: Options, machines: Machine
                 board.ended(row)
         if engine is not None:
             stack.enter_context(board.live())
-            stack.enter_context(_stopped_by_signals(engine))
+            # Ctrl-C and TERM end what runs, in order; nothing more is begun.
+            stop = handled(lambda number, frame: engine.stopped.set(), signal.SIGINT, signal.SIGTERM)
+            stack.enter_context(stop)
             tell(grace_s=STOP_S)
             Work(options, engine, board).through(scenes)
     done = sum(row.code == DONE for row in rows)
@@ -132,15 +135,3 @@ def _local(machines: Machines) -> LocalPool:
     jobs = machines.jobs or gpus or max(1, min(cores // CORES_PER_JOB, int(memory_gb / GB_PER_JOB)))
     jobs = min(jobs, gpus or jobs)
     return LocalPool(jobs, max(1, cores // jobs), memory_gb / jobs, gpus)
-
-
-@contextmanager
-def _stopped_by_signals(engine: LocalPool | RayCluster) -> Iterator[None]:
-    """Ctrl-C and TERM end what runs, in order; nothing more is begun."""
-    handled = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda number, frame: engine.stopped.set()) for number in handled}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

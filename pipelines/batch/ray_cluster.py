@@ -17,6 +17,7 @@ from devrf.capture.errors import InputError
 from devrf.pipelines.batch.task import Ended, Task, node_name, run_task
 from devrf.pipelines.budget.memory import GB
 from devrf.pipelines.exit_codes import BAD_INPUT, FAILED, STOPPED
+from devrf.pipelines.runner.signals import handled
 
 # what makes Ray listen on 127.0.0.1 alone, on Linux too
 LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
@@ -150,8 +151,7 @@ def _connected(address: str | None) -> Any:
 def _carry_out(task: Task, version: str) -> Ended:
     """On a node: run a task. Ray cancels by an interrupt, which ends the run in order, as in the local pool."""
     cancelled = threading.Event()
-    before = signal.signal(signal.SIGINT, lambda number, frame: cancelled.set())
-    try:
+    with handled(lambda number, frame: cancelled.set(), signal.SIGINT):
         if version != devrf.__version__:
             text = f"{node_name()} has devrf {devrf.__version__}, the batch {version}; install one everywhere"
             return Ended(FAILED, text, node_name())
@@ -162,5 +162,3 @@ def _carry_out(task: Task, version: str) -> Ended:
             )
             return Ended(BAD_INPUT, text, node_name())
         return run_task(task, cancelled.is_set)
-    finally:
-        signal.signal(signal.SIGINT, before)

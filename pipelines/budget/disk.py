@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from devrf.capture.amounts import GB, size_text
 from devrf.capture.errors import DevrfError
+from devrf.pipelines.runner.signals import handled
 from devrf.pipelines.runner.workspace import nearest, size_of
 
 if TYPE_CHECKING:
@@ -103,12 +104,11 @@ def watched(config: "SceneConfig", run_dir: Path) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGUSR1, stop)
-    watcher = threading.Thread(target=watch, name="disk", daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        done.set()
-        watcher.join()
-        signal.signal(signal.SIGUSR1, before)
+    with handled(stop, signal.SIGUSR1):
+        watcher = threading.Thread(target=watch, name="disk", daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            done.set()
+            watcher.join()

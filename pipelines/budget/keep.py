@@ -1,15 +1,14 @@
-"""One run kept within `budget.*`: what a stage may use before it begins, and watching while it writes."""
+"""One run kept within `budget.*`: what a stage may use, and whether there is time for it, before it begins."""
 
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from devrf.capture.amounts import GB
-from devrf.pipelines.budget.allowance import Allowance
-from devrf.pipelines.budget.disk import check_room, watched
+from devrf.pipelines.budget.disk import check_room
 from devrf.pipelines.budget.memory import allowed_bytes
+from devrf.pipelines.stage import Allowance
 
 if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig
@@ -36,10 +35,6 @@ class Budget:
         gpu_gb = self.config.budget.gpu_memory_gb
         gpu = None if gpu_gb is None else int(gpu_gb * GB)
         return Allowance(allowed_bytes(self.config), gpu, self._until)
-
-    def watched(self) -> AbstractContextManager[None]:
-        """Stops what is done in this block before the disk is full."""
-        return watched(self.config, self.run_dir)
 
     def late(self, stage: str, rest: Sequence[str]) -> str | None:
         """Why there is no time to begin a stage, and what is left; None where there is.

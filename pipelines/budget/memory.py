@@ -33,12 +33,15 @@ def allowed_bytes(config: "SceneConfig") -> int:
     return max(0, there if budget is None else min(there, int(budget * GB)))
 
 
-def memory_bound(config: "SceneConfig", allowed: int) -> str:
-    """What allows no more than `allowed` bytes, and how there can be more, for messages."""
-    budget = config.budget.memory_gb
+def too_much(config: "SceneConfig", needed: int) -> str | None:
+    """That so many bytes are more than is allowed, by what, and how there can be more; None where they fit."""
+    allowed, budget = allowed_bytes(config), config.budget.memory_gb
+    if needed <= allowed:
+        return None
+    bound = f"{size_text(allowed)} are left on this machine; close other programs, take a larger machine"
     if budget is not None and allowed >= int(budget * GB):
-        return f"budget.memory_gb is {budget:g}; raise it"
-    return f"{size_text(allowed)} are left on this machine; close other programs, take a larger machine"
+        bound = f"budget.memory_gb is {budget:g}; raise it"
+    return f"about {size_text(needed)} of memory, and {size_text(allowed)} are allowed ({bound})"
 
 
 def left_bytes(proc: Path = Path("/proc"), cgroups: Path | None = None) -> int:

@@ -10,16 +10,15 @@ from devrf.calibration.field.overlap import ENOUGH, overlap_of, shared_features
 from devrf.calibration.field.steady import steadiness
 from devrf.capture.audio import Sound
 from devrf.capture.frames import CameraFrames, FrameRecord, Role, grey_small, sharpness, timing
-from devrf.capture.ingest import MAX_SWEEP_FRAMES
+from devrf.capture.ingest import MAX_SWEEP_FRAMES, with_clock_cues
 from devrf.capture.measure import Measure
 from devrf.capture.photo_folders import list_pictures, unread_faults
 from devrf.capture.pictures import read_picture
 from devrf.capture.progress import Progress
-from devrf.capture.recorded import Recorded, rate_faults, read_recorded
 from devrf.capture.recordings import chapter_faults
 from devrf.capture.rest import Rest
 from devrf.capture.sampled import read_runs
-from devrf.capture.slow_motion import length_faults
+from devrf.capture.spread import spread
 from devrf.capture.stillness import moving_mask, moving_share, smooth_grey
 from devrf.capture.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.capture.timestamps import FrameTimes, table_factor, table_faults
@@ -53,37 +52,30 @@ def planned_frames(
     used = set(range(look.count) if role != "sweep" else _sweep_pictures(look).tolist())
     times = look.times_s.tolist() or [None] * look.count
     faults = [] if true is None else table_faults(table_factor(true, dict(enumerate(look.times_s.tolist()))))
-    recorded = read_recorded(look.path) if look.is_clip else Recorded()
     faults += chapter_faults(look.path) if look.is_clip else unread_faults(look.path)
-    faults += rate_faults(recorded.timecode_fps, seen.fps_mean)
-    if sound is not None and true is None:
-        faults += length_faults(look.duration_s, sound.end_s - sound.start_s)
-    return CameraFrames(
+    frames = CameraFrames(
         role=role,
         source=source,
         width=look.width,
         height=look.height,
         fps_mean=seen.fps_mean,
         variable_rate=seen.variable_rate,
-        has_audio=sound is not None,
+        has_audio=False,
         exif_focal_px=None,
         rotation_deg=0,
         frames=tuple(FrameRecord(n, t, np.nan, n in used, None) for n, t in enumerate(times)),
         level=look.level,
-        audio_start_s=None if sound is None else sound.start_s,
         missing_frames=seen.missing_frames,
-        created_s=recorded.created_s,
-        timecode_s=recorded.timecode_s,
-        timecode_fps=recorded.timecode_fps,
         notes=(*look.notes, *seen.notes),
         faults=tuple(faults),
     )
+    return frames if role == "sweep" else with_clock_cues(frames, sound, look.path, whole=true is None)
 
 
 def see_sweep(look: Look, progress: Progress) -> SweepSeen:
     """Look for sharpness, overlap and depth along a clip or a folder of photos."""
     used = _sweep_pictures(look)
-    chosen = used[np.unique(np.linspace(0, len(used) - 1, SWEEP_PICTURES).round().astype(int))]
+    chosen = np.array(spread(used.tolist(), SWEEP_PICTURES))
     length = min(SHARP_OF, int(np.diff(chosen).min(initial=look.count)))  # runs that do not overlap
     found: list[Features] = []
     sharp: list[float] = []

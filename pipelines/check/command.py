@@ -26,9 +26,10 @@ from devrf.pipelines.check.boards import board_measures
 from devrf.pipelines.check.clips import camera_measures, planned_frames, see_sweep
 from devrf.pipelines.check.clocks import clock_measures
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.console import Talk, describe, duration
+from devrf.pipelines.console import describe, duration
 from devrf.pipelines.health.judge import HealthRow, judge, worst
 from devrf.pipelines.health.rig import scale_measures
+from devrf.pipelines.runner.run import Run
 from devrf.pipelines.stages import ingest
 
 Sections = dict[str, list[Measure]]  # what is looked at -> what was measured of it
@@ -41,19 +42,19 @@ WORDS: dict[Verdict, str] = {"ok": "go", "warn": "warn", "fail": "no-go"}
 STYLE: dict[Verdict, str] = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
-def check(talk: Talk, config: SceneConfig, scene_dir: Path, run_dir: Path, json_file: Path | None) -> bool:
+def check(job: Run, json_file: Path | None) -> bool:
     """Look at a scene whose files are readable, print a table and say go or no-go.
 
     Returns:
         Whether it is a go.
     """
-    begin = time.monotonic()
+    begin, talk, config = time.monotonic(), job.talk, job.config
     if config.kind == "dataset":
         said = ["can be read; there are no raw files to look at"]
-        sections: Sections = {FILES: noted(said, "data set"), RESOURCES: _resources(config, run_dir)}
+        sections: Sections = {FILES: noted(said, "data set"), RESOURCES: _resources(config, job.run_dir)}
     else:
         with talk.progress("checking") as progress:
-            sections = look_at_capture(config, scene_dir, run_dir, progress)
+            sections = look_at_capture(config, job.scene_dir, job.run_dir, progress)
     judged: dict[str, list[HealthRow]] = {title: judge(measures) for title, measures in sections.items()}
     seconds = time.monotonic() - begin
     verdicts = [row.verdict for rows in judged.values() for row in rows]

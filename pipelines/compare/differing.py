@@ -26,7 +26,7 @@ def differing_versions(runs: Sequence[ComparedRun]) -> dict[str, list[str]]:
 def differing_code(runs: Sequence[ComparedRun]) -> list[str]:
     """Stages that were made by other code than the first run's, but for those that only show a result."""
     stages = [stage for stage in runs[0].folder.stages if stage not in ("render", "report")]
-    made_by = {stage: [at(run.stamps.get(stage), "identity.code") for run in runs] for stage in stages}
+    made_by = {stage: [at(run.stamps.get(stage), "identity.rooms") for run in runs] for stage in stages}
     return [
         stage for stage, (first, *others) in made_by.items() if any(o != first for o in others if o and first)
     ]

@@ -122,7 +122,7 @@ def seed_differences(runs: Sequence[ComparedRun]) -> Iterator[Difference]:
     groups: dict[str, dict[int, ComparedRun]] = {}
     for run in runs:
         config = {key: value for key, value in run.config.items() if key != SEED}
-        code = {stage: at(stamp, "identity.code") for stage, stamp in run.stamps.items()}
+        code = {stage: at(stamp, "identity.rooms") for stage, stamp in run.stamps.items()}
         made_of = repr((sorted(config.items()), sorted(code.items()))) if config else run.name
         groups.setdefault(made_of, {})[run.metrics.get("seed", 0)] = run
     first, *others = groups.values()

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 
 from devrf.capture.errors import InputError
+from devrf.capture.spread import spread
 from devrf.pipelines.cli_options import configured
 from devrf.pipelines.report.pictures import read_picture
-from devrf.pipelines.report.run import METRICS, RunFolder, at, evenly
+from devrf.pipelines.report.run import METRICS, RunFolder, at
 from devrf.pipelines.report.views import collect_views
 from devrf.pipelines.runner.plan import last_error
 from devrf.pipelines.stages import stage_names
@@ -112,7 +113,7 @@ def limits_of(base: ComparedRun, other: ComparedRun) -> tuple[str | None, list[s
             notes.append(
                 f"{both}: {len(shared)} of {len(a)} and {len(b)} {what} are the same; only those are compared"
             )
-    for key in evenly(common, LOOKED_AT):
+    for key in spread(common, LOOKED_AT):
         a, b = base.true_picture(key), other.true_picture(key)
         if a is None or b is None:
             continue

@@ -8,10 +8,10 @@ import numpy as np
 from devrf.capture.errors import InputError, ReconstructError
 from devrf.capture.formats import gltf
 from devrf.capture.progress import Progress
+from devrf.capture.spread import spread
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import KEYS
 from devrf.pipelines.export.trained import Trained, bounds_of
-from devrf.reconstruct.pictures import spread
 
 if TYPE_CHECKING:  # it needs torch
     from torch import Tensor

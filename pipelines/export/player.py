@@ -6,6 +6,7 @@ import numpy as np
 
 from devrf.capture.camera import Camera
 from devrf.capture.errors import InputError
+from devrf.capture.progress import part
 from devrf.pipelines.export import splats as shared
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import Trained
@@ -34,7 +35,7 @@ def write(request: Request) -> None:
     from devrf.reconstruct.splats.packed import pack
 
     with request.new_folder() as new, request.talk.progress("export player") as progress:
-        made = shared.made(trained, count, lambda done, text: progress((1 - LAST) * done, text))
+        made = shared.made(trained, count, part(progress, 0.0, 1 - LAST))
         packed = pack(made.gaussians, made.ways, made.nodes)
         views = [_told(*view) for view in _views(trained)]
         about = {**_about(trained, made), "splats": packed.about, "views": views}

@@ -9,7 +9,7 @@ from typing import Any
 from devrf.capture.errors import ReconstructError
 from devrf.capture.formats.ply import write_ply
 from devrf.pipelines.export.request import Request
-from devrf.pipelines.export.trained import AXES, Trained, bounds_of
+from devrf.pipelines.export.trained import AXES, Trained, entry_of
 
 TIMES = "10"
 
@@ -38,21 +38,9 @@ def write(request: Request) -> None:
                 )
             path = new / f"points_{n:04d}.ply"
             xyz = trained.to_world(cloud.xyz)
-            comments = [
-                "devrf point cloud in the world of the calibration",
-                f"unit: {trained.unit}",
-                moment.said(),
-            ]
+            comments = trained.comments("point cloud", moment)
             write_ply(path, xyz, trained.turned_to_world(cloud.normals), cloud.rgb, comments)
-            entries.append(
-                {
-                    "file": path.name,
-                    "time": moment.time,
-                    "time_s": moment.time_s,
-                    "points": len(xyz),
-                    **bounds_of(xyz),
-                }
-            )
+            entries.append(entry_of(path, moment, xyz, points=len(xyz)))
         trained.describe(
             new,
             files="points_0000.ply and so on: one cloud per time, in order (times in export.json). Positions, normals, "

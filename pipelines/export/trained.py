@@ -18,7 +18,6 @@ from devrf.pipelines.export import times
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import Moment
 from devrf.pipelines.stamps.stamp import STAMP
-from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.pictures import training
 
 if TYPE_CHECKING:  # it needs torch
@@ -66,9 +65,10 @@ class Trained:
             raise InputError("option-misplaced", text)
         if not moved and self.scene.dynamic:
             request.notes.append("the motion is not trained yet: this is the scene at rest alone")
-        self.model: DynamicModel = load_trained(
-            request.run_dir, resolve_device(request.options.device or "auto")
-        )
+        from devrf.reconstruct.model_io import load_model
+
+        device = resolve_device(request.options.device or "auto")
+        self.model: DynamicModel = load_model(request.run_dir, device)
         motion = self.model.motion
         self.moments: list[Moment] = [times.REST]
         if motion is not None:
@@ -108,6 +108,10 @@ class Trained:
     def turned_to_world(self, directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Unit directions of the box frame in the world."""
         return directions @ (self.world_from_box[:3, :3] / self.scale).T
+
+    def comments(self, what: str, moment: Moment) -> list[str]:
+        """What stands in the head of a file of one time."""
+        return [f"devrf {what} in the world of the calibration", f"unit: {self.unit}", moment.said()]
 
     def describe(
         self, folder: Path, *, files: str, axes: str, facts: dict[str, Any], lengths: str | None = None
@@ -149,6 +153,11 @@ class Trained:
             **facts,
         }
         (folder / FACTS).write_text(json.dumps(value, indent=1) + "\n")
+
+
+def entry_of(path: Path, moment: Moment, xyz: Float[np.ndarray, "n 3"], **facts: int) -> dict[str, Any]:
+    """A file of one time, for export.json."""
+    return {"file": path.name, "time": moment.time, "time_s": moment.time_s, **facts, **bounds_of(xyz)}
 
 
 def bounds_of(points: Float[np.ndarray, "n 3"]) -> dict[str, list[float]]:

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from devrf.capture.amounts import size_text
 from devrf.capture.durable import write_json
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.export import check_target, new_folder
 from devrf.capture.formats.opengl import opengl_pose
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.scene import Scene
-from devrf.pipelines.budget.memory import allowed_bytes, memory_bound
-from devrf.pipelines.console import Talk, duration
+from devrf.pipelines.budget.at_once import FILM, RENDERED, WITH_DEPTH
+from devrf.pipelines.budget.memory import too_much
+from devrf.pipelines.console import duration
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.disk_told import disk_told
 from devrf.pipelines.film.plan import Asked, Plan, planned
@@ -35,17 +35,12 @@ if TYPE_CHECKING:  # they need torch
 
 READS = ("scene", "canonical", "deformation")  # the stages whose results are filmed
 KIND = "film"  # of folders that may be replaced
-BASE_BYTES = 900_000_000  # the process while it unpacks a model: the example's
-# That a picture's pixel takes while it is rendered; measured: 136 before white, surroundings more.
-PIXEL_BYTES = 230
-DEPTH_BYTES = 100  # and for depth
 
 
-def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
+def film(job: Run, asked: Asked, device: str) -> Path:
     """Make a film of a run and say where it is; what is stopped leaves nothing, and an earlier film as it was.
 
     Args:
-        talk: Where to speak.
         job: The run.
         asked: The options.
         device: auto, cpu or cuda.
@@ -54,6 +49,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
         DevrfError: It cannot be written, or not enough memory is left.
     """
     asked.check()
+    talk = job.talk
     if asked.out is None:
         check_run_folder(job.run_dir, ())
     folder = job.run_dir / "films" / asked.name if asked.out is None else asked.out.expanduser().resolve()
@@ -69,7 +65,7 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     for line in notes:
         talk.say(f"  note: {line}", style="yellow")
     with _told(folder):
-        made_in_s = _make(talk, job, asked, plan, world, folder, notes)
+        made_in_s = _make(job, asked, plan, world, folder, notes)
     count = len(plan.cameras)
     shown = f"{count / made_in_s:.3g} pictures a second"
     talk.say(f"  {count} pictures, {count / plan.fps:.3g} s, in {duration(made_in_s)} ({shown})")
@@ -78,20 +74,18 @@ def film(talk: Talk, job: Run, asked: Asked, device: str) -> Path:
     return folder
 
 
-def _make(
-    talk: Talk, job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]
-) -> float:
+def _make(job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]) -> float:
     """Write the film and `film.json`; seconds that it took."""
-    from devrf.pipelines.trained_model import load_trained
     from devrf.reconstruct.film.layers import DepthScale
     from devrf.reconstruct.film.make import Film, make_film
+    from devrf.reconstruct.model_io import load_model
 
-    model = _showing(load_trained(job.run_dir, job.device), asked.left_out())
+    model = _showing(load_model(job.run_dir, job.device), asked.left_out())
     world_per_box = 1 / float(np.cbrt(np.linalg.det(world.box_from_world[:3, :3])))
     depth = DepthScale.of(plan.cameras, world.aabb, model.rest.near, world_per_box, world.metric)
     names = {layer: layer for layer in asked.layer_names()}
     film = Film(plan.cameras, plan.times, plan.fps, names, asked.format or "mp4", depth)
-    with new_folder(folder, KIND) as new, talk.progress(f"film {folder.name}") as progress:
+    with new_folder(folder, KIND) as new, job.talk.progress(f"film {folder.name}") as progress:
         begin = time.perf_counter()
         make_film(film, model, new, progress)
         made_in_s = time.perf_counter() - begin
@@ -163,16 +157,11 @@ def _state(job: Run) -> list[str]:
 
 
 def _check_memory(job: Run, plan: Plan, layers: Sequence[str]) -> None:
-    pixels = max(camera.width * camera.height for camera in plan.cameras)
-    each = PIXEL_BYTES + DEPTH_BYTES * ("depth" in layers)
-    needed, allowed = BASE_BYTES + each * pixels, allowed_bytes(job.config)
-    if needed > allowed:
-        camera = plan.cameras[0]
-        raise InputError(
-            "film-needs-memory",
-            f"pictures of {camera.width}x{camera.height} need about {size_text(needed)} of memory, and "
-            f"{size_text(allowed)} are allowed ({memory_bound(job.config, allowed)}); choose a smaller --size",
-        )
+    camera, each = plan.cameras[0], WITH_DEPTH if "depth" in layers else RENDERED
+    needed = FILM + each * max(camera.width * camera.height for camera in plan.cameras)
+    if (wrong := too_much(job.config, needed)) is not None:
+        text = f"pictures of {camera.width}x{camera.height} need {wrong}; choose a smaller --size"
+        raise InputError("film-needs-memory", text)
 
 
 @contextmanager

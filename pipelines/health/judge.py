@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,8 @@ class HealthRow:
     about: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """As written to health.json."""
-        return asdict(self)
+        """As written to health.json: JSON knows no infinity, which is said in words."""
+        return {k: str(v) if isinstance(v, float) and not isfinite(v) else v for k, v in asdict(self).items()}
 
     @property
     def title(self) -> str:

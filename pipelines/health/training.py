@@ -1,9 +1,11 @@
-"""What both trainings measure: whether steps were too large, and whether flow and clocks fit the pictures."""
+"""What both trainings measure: whether steps were too large, what was learned, and whether flow and clocks fit."""
 
 from collections.abc import Iterator, Mapping
+from statistics import fmean
 from typing import Any
 
-from devrf.capture.measure import Measure, highest
+from devrf.capture.measure import Measure, highest, lowest
+from devrf.reconstruct.check_motion import MotionFit
 
 MENDED = ("training-mended", "flow-contradicted", "clock-moved")
 """Codes which say that training mended something: the cause is real, the loss may not be."""
@@ -42,3 +44,18 @@ def moved_clock_measures(offsets_s: Mapping[str, float | None], why: str = "") -
     every = ", ".join(f"{name} {offset_ms:+.0f} ms" for name, offset_ms in known_ms.items())
     sizes = {name: abs(offset_ms) for name, offset_ms in known_ms.items()}
     return [highest("clock-moved", sizes, why=why, facts={"every": every})] if sizes else []
+
+
+def in_motion_measures(cameras: Mapping[str, MotionFit]) -> Iterator[Measure]:
+    """What was learned of motion, by the pictures of the training cameras alone: the worst camera each; none where no
+    camera's pictures change.
+    """
+    if not cameras:
+        return
+    yield lowest("motion-gain", {name: fit.gain_db for name, fit in cameras.items()})
+    yield highest("motion-empty", {name: fit.unreachable for name, fit in cameras.items()}, 100)
+    yield highest("motion-still", {name: fit.unmoved for name, fit in cameras.items()}, 100)
+    alone = [fit.alone for fit in cameras.values() if fit.alone is not None]
+    if alone:
+        yield Measure("motion-one-sided", 100 * fmean(alone))
+    yield highest("motion-late", {name: abs(fit.better_at) for name, fit in cameras.items()})

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+from devrf.capture.durable import whole
 from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.formats.datasets import guess_format
 from devrf.capture.progress import Progress
@@ -177,10 +178,6 @@ def _words(look: Look) -> str:
 
 def _write(path: Path, text: str) -> None:
     """All of it or nothing, and only what `run` takes: a full disk leaves the file that was there."""
-    new = path.with_name(f".{path.name}.new")
-    try:
+    with whole(path) as new:
         new.write_text(text, encoding="utf-8")
         load_scene(new)
-        new.replace(path)
-    finally:
-        new.unlink(missing_ok=True)

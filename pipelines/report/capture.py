@@ -9,8 +9,9 @@ import numpy as np
 from devrf.capture.errors import CaptureError
 from devrf.capture.frames import SWEEP
 from devrf.capture.scene import PosedFrame, read_matte
+from devrf.capture.spread import spread
 from devrf.pipelines.report.pictures import file_uri, picture_uri, read_picture, shrink
-from devrf.pipelines.report.run import RunFolder, evenly
+from devrf.pipelines.report.run import RunFolder
 
 INGEST = "ingest/ingest.json"
 WIDTH, HALVES_WIDTH = 200, 380
@@ -48,7 +49,7 @@ def _ingested(run: RunFolder, cameras: dict[str, Any]) -> list[Reel]:
     reels: list[Reel] = []
     for name, camera in list(cameras.items())[:MAX_CAMERAS]:
         frames = [f for f in camera.get("frames") or [] if f.get("file")]
-        some = evenly(frames, OF_SWEEP if camera.get("role") == "sweep" else OF_CAMERA)
+        some = spread(frames, OF_SWEEP if camera.get("role") == "sweep" else OF_CAMERA)
         files = [run.folder("ingest") / f["file"].removeprefix("ingest/") for f in some]
         captions = [_caption(f.get("index"), f.get("time_s")) for f in some]
         reels.append(
@@ -65,7 +66,7 @@ def _reels(
     for frame in frames:
         by_camera[frame.camera_name].append(frame)
     some = list(by_camera.items())[:MAX_CAMERAS]
-    return [(name, [shown(frame) for frame in evenly(of_camera, most)]) for name, of_camera in some]
+    return [(name, [shown(frame) for frame in spread(of_camera, most)]) for name, of_camera in some]
 
 
 def _posed(frame: PosedFrame) -> tuple[str, str]:

@@ -148,12 +148,3 @@ def table_of(value: object, columns: int | None = None) -> Float[np.ndarray, "n 
         return None
     good = found.ndim == 2 and found.size > 0 and np.isfinite(found).all()
     return found if good and columns in (None, found.shape[1]) else None
-
-
-def evenly(items: Sequence[Any], count: int) -> list[Any]:
-    """At most `count` items, evenly spread, the first and the last among them."""
-    if len(items) <= count:
-        return list(items)
-    if count == 1:
-        return [items[len(items) // 2]]
-    return [items[round(n * (len(items) - 1) / (count - 1))] for n in range(count)]

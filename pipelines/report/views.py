@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from devrf.capture.spread import spread
 from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
 from devrf.pipelines.report.pictures import picture_uri, read_picture
-from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at, evenly
-from devrf.pipelines.unknown_clocks import unknown_clock_notes
+from devrf.pipelines.report.run import METRICS, RunFolder, as_float, at
 
 # two under the border, and those beside it
 WIDTHS = {"true": 720, "rendered": 720, "error": 400, "rest": 400}
@@ -53,14 +53,22 @@ def views(run: RunFolder) -> dict[str, Any]:
     ):
         full = [v for v in found if "error" in v.row] or found  # evaluate keeps error and rest for some
         several = len({v.row.get("camera") for v in full}) > 1
-        some = [_frame(run, v, several) for v in evenly(full, max(1, round(most * run.room)))]
+        some = [_frame(run, v, several) for v in spread(full, max(1, round(most * run.room)))]
         frames = [frame for frame in some if frame is not None]
         middle = len(frames) // 2  # at the first time of a clip nothing has moved yet
         group = {"title": title, "frames": frames, "shown": middle, "total": len(found)}
         groups += [group | {"charts": [chart] if chart else []}] if found else []
     clocks = run.object("deformation/metrics.json", "test_clocks")
     shown = dict.fromkeys(str(v.row.get("camera")) for v in moving)
-    return {"groups": groups, "clocks": unknown_clock_notes(clocks, shown)}
+    return {"groups": groups, "clocks": [_by_which_clock(n, clocks[n]) for n in shown if n in clocks]}
+
+
+def _by_which_clock(camera: str, clock: dict[str, Any]) -> str:
+    """Of a test camera whose clock is not known (`test_clocks` of stage `deformation`)."""
+    offset_s = clock.get("offset_s")
+    later = "" if offset_s is None else f"by what moves its pictures are {1e3 * offset_s:+.0f} ms later"
+    said = later or clock.get("why")
+    return f"{camera} is shown by its clock as it was calibrated, which is not known well ({said})"
 
 
 def _over_time(views: Sequence[View]) -> Chart | None:

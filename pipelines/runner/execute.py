@@ -1,7 +1,6 @@
 """Run the stages of a scene: skip what is fresh, say why, keep what is finished whatever happens."""
 
 import logging
-import math
 import os
 import socket
 import time
@@ -12,7 +11,7 @@ from pathlib import Path
 import devrf
 from devrf.capture.amounts import GB
 from devrf.capture.errors import DevrfError, OutOfTime
-from devrf.capture.progress import Progress
+from devrf.pipelines.budget.disk import watched
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
 from devrf.pipelines.console import duration
 from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
@@ -205,13 +204,13 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, budget: Budget) ->
                 scene_dir=run.scene_dir,
                 run_dir=run.run_dir,
                 out=folder,
-                progress=_sane(progress),
+                progress=progress,
                 device=run.device,
                 say=say,
                 made_from=made_from,
                 allowance=budget.allowance(),
             )
-            with budget.watched():
+            with watched(run.config, run.run_dir):
                 stage.run(context)
         finish(run, folder, stage, context, time.monotonic() - start)
         workspace.commit(stage.name, folder)
@@ -236,12 +235,3 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, budget: Budget) ->
         if not isinstance(error, OutOfTime):
             remember_error(run.run_dir, stage.name, message, code, of_error)
         return code
-
-
-def _sane(progress: Progress) -> Progress:
-    """Keep fractions in [0, 1]: a bar must not be what breaks a stage."""
-
-    def clamped(fraction: float, message: str) -> None:
-        progress(min(max(float(fraction), 0.0), 1.0) if math.isfinite(fraction) else 0.0, message)
-
-    return clamped

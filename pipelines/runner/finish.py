@@ -1,7 +1,6 @@
 """What the runner adds to a stage's folder: its health, and the stamp that makes it complete."""
 
 import json
-import math
 import platform
 import resource
 import secrets
@@ -19,8 +18,7 @@ from devrf.pipelines.stamps.stamp import HEALTH, STAMP, code_of_stage, content_o
 
 def finish(run: Run, folder: Path, stage: Stage, context: StageContext, seconds: float) -> None:
     """Write health and, last of all, the stamp that makes the folder complete."""
-    rows = [_finite(row.as_dict()) for row in context.health]
-    write_json(folder / HEALTH, {"stage": stage.name, "rows": rows})
+    write_json(folder / HEALTH, {"stage": stage.name, "rows": [row.as_dict() for row in context.health]})
     files = files_of(folder, run.digests)
     referred = run.digests.of_files(context.referred)
     stamp = {
@@ -41,14 +39,6 @@ def finish(run: Run, folder: Path, stage: Stage, context: StageContext, seconds:
         "files": files,
     }
     write_json(folder / STAMP, stamp)
-
-
-def _finite(row: dict) -> dict:
-    """JSON knows no infinity: say it in words."""
-    return {
-        key: str(value) if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in row.items()
-    }
 
 
 def _peak_rss_gb() -> float:

@@ -1,14 +1,25 @@
-"""Signals that end a run, as one error wherever they come."""
+"""Signals: handlers for some work, and those that end a run as one error wherever they come."""
 
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
 AGAIN_S = 0.01  # after which a signal that was lost is raised again
+
+
+@contextmanager
+def handled(handler: Callable[[int, FrameType | None], None], *signs: signal.Signals) -> Iterator[None]:
+    """Have signals handled so in this block; in the main thread only."""
+    before = {sign: signal.signal(sign, handler) for sign in signs}
+    try:
+        yield
+    finally:
+        for sign, usual in before.items():
+            signal.signal(sign, usual)
 
 
 @contextmanager
@@ -28,11 +39,11 @@ def stopped_by_signals() -> Iterator[None]:
         yield
         return
     hook, sys.unraisablehook = sys.unraisablehook, again
-    previous = {sign: signal.signal(sign, stop) for sign in (signal.SIGTERM, signal.SIGALRM)}
     try:
-        yield
+        with handled(stop, signal.SIGTERM, signal.SIGALRM):
+            try:
+                yield
+            finally:
+                signal.setitimer(signal.ITIMER_REAL, 0)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        for sign, handler in previous.items():
-            signal.signal(sign, handler)
         sys.unraisablehook = hook

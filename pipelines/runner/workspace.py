@@ -31,10 +31,6 @@ OURS = re.compile(  # hidden files and folders that are put right or removed
 LOGS = "logs"  # what native programs said in stages that did not succeed
 
 
-class DiskFullError(DevrfError):
-    """There is no room left where the run folder lies."""
-
-
 class Workspace:
     """A run folder held by this process.
 
@@ -43,7 +39,7 @@ class Workspace:
         say: Told what it waits for.
     Raises:
         InputError: It cannot be written, or another run holds it.
-        DiskFullError: There is not even room for the lock.
+        DevrfError: There is not even room for the lock.
     """
 
     def __init__(self, run_dir: Path, say: Callable[[str], None] = lambda text: None) -> None:
@@ -56,24 +52,20 @@ class Workspace:
             self._lock.take()
             self._recover()
         except OSError as error:
-            self.release()
+            self._lock.release()
             if is_disk_full(error):
-                raise DiskFullError("disk-full", disk_full_message(self.run_dir, "the run", 0)) from error
+                raise DevrfError("disk-full", disk_full_message(self.run_dir, "the run", 0)) from error
             raise InputError(
                 "folder-unwritable",
                 f"output: {self.run_dir}: cannot be written ({error.strerror or error}); "
                 "choose another folder (output: in scene.yaml) or make it writable",
             ) from error
         except BaseException:
-            self.release()
+            self._lock.release()
             raise
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self.release()
-
-    def release(self) -> None:
-        """Let others run here."""
         self._lock.release()
 
     def new_folder(self, stage: str) -> Path:

@@ -220,7 +220,7 @@ STAGES = (
         config_keys=("preset",),
         applies=_unless(cameras=NO_SWEEP),
         run=_glue("render"),
-        rooms=TRAINED,
+        rooms=("capture", "reconstruct"),
     ),
     Stage(
         name="report",

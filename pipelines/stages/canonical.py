@@ -1,9 +1,9 @@
 """Stage `canonical`: the scene at rest and its surroundings, learned from the sweep and from fixed cameras."""
 
-import json
 from dataclasses import asdict
 from typing import Any
 
+from devrf.capture.durable import write_json
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.measure import Measure
 from devrf.pipelines.health.at_rest import at_rest_measures
@@ -39,7 +39,7 @@ def run(context: StageContext) -> None:
         "options": asdict(options),
         "check": fits_at_rest,
     }
-    (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    write_json(context.out / "metrics.json", metrics)
     context.measures.append(Measure("rest-psnr", metrics["train_psnr"]))
     context.measures += at_rest_measures(found)
     context.measures += restart_measures(metrics)

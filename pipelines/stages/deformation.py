@@ -1,21 +1,21 @@
 """Stage `deformation`: how the scene moves, learned from the moving cameras."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
 from devrf.calibration.clocks.equations import Clock
+from devrf.capture.durable import write_json
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
 from devrf.flow.store import read_flows
 from devrf.pipelines.clocks import clock_dict, clocks_in_use
 from devrf.pipelines.flow_clips import flow_estimator
-from devrf.pipelines.health.in_motion import in_motion_measures
 from devrf.pipelines.health.training import (
     contradicted_measures,
+    in_motion_measures,
     moved_clock_measures,
     mover_measures,
     restart_measures,
@@ -68,7 +68,7 @@ def run(context: StageContext) -> None:
         "options": asdict(options),
         "check": {name: asdict(fit) for name, fit in cameras.items()},
     }
-    (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    write_json(context.out / "metrics.json", metrics)
     if "left_box_share" in metrics:  # movers go wherever they were tracked
         context.measures.append(Measure("motion-leaves-box", 100 * metrics["left_box_share"]))
     context.measures += in_motion_measures(cameras)

@@ -1,9 +1,9 @@
 """Stage `evaluate`: the model against pictures it was never trained on, and against the truth where known."""
 
-import json
 import platform
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -12,20 +12,21 @@ import numpy as np
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.truth import Truth, compare_cameras, compare_clocks, read_masks, read_truth
+from devrf.capture.durable import read_object, write_json
 from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
 from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.confidence import confidence_measures
 from devrf.pipelines.health.left_out import NO_PICTURE
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.trained_model import load_trained, model_files, renderer
 from devrf.pipelines.trained_scene import trained_scene
-from devrf.pipelines.unknown_clocks import unknown_clocks
 from devrf.reconstruct.confidence import subject_seen
 from devrf.reconstruct.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
+from devrf.reconstruct.model import render_view
+from devrf.reconstruct.model_io import load_model
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
+TRAINED = ("canonical", "deformation")  # stages that hold models, which are what a viewer needs
 TEST_VIEWS = "test views"  # what some measures are about
 USUAL_ERRORS = {
     "rig_rotation_deg": 0.15,
@@ -43,26 +44,28 @@ def run(context: StageContext) -> None:
     config = context.config
     scene = trained_scene(context.run_dir)  # clocks of test cameras are as they were calibrated
     lpips = lpips_nets(config, context.scene_dir, context.device)
-    model = load_trained(context.run_dir, context.device)
+    model = load_model(context.run_dir, context.device)
     truth_file = config.truth_path(context.scene_dir)
     masks = {} if truth_file is None else true_masks(truth_file, scene)
     plain = model.unshaded()
+    clocks = read_object(context.run_dir / "deformation" / "metrics.json").get("test_clocks", {})
     metrics = evaluate(
-        scene, renderer(model), lpips, context.out, context.progress, masks,
-        None if plain is None else renderer(plain), unknown_clocks(context.run_dir),
+        scene, partial(render_view, model), lpips, context.out, context.progress, masks,
+        None if plain is None else partial(render_view, plain), clocks,
         why_no_test_views(config, context.run_dir),
     )  # fmt: skip
+    models = [path for stage in TRAINED for path in (context.run_dir / stage).glob("*.safetensors")]
     metrics |= {
         "confidence": subject_seen(scene, model),
         "train": training(context.run_dir),
-        "model_mb": round(sum(path.stat().st_size for path in model_files(context.run_dir)) / 1e6, 3),
+        "model_mb": round(sum(path.stat().st_size for path in models) / 1e6, 3),
         "versions": versions(),
         "seed": config.reconstruct.seed,
     }
     if truth_file is not None:
         metrics["truth"] = compare(read_truth(truth_file), scene, context.run_dir)
-    context.measures += [*health(metrics, scene), *confidence_measures(metrics["confidence"])]
-    (context.out / "metrics.json").write_text(json.dumps(metrics, indent=1, allow_nan=False) + "\n")
+    context.measures += health(metrics, scene)
+    write_json(context.out / "metrics.json", metrics)
 
 
 def why_no_test_views(config: SceneConfig, run_dir: Path) -> str:
@@ -70,7 +73,7 @@ def why_no_test_views(config: SceneConfig, run_dir: Path) -> str:
     names = config.capture.test_names if config.capture is not None else ()
     why: dict[str, str] = {}
     for file in ("ingest/ingest.json", "rig/rig.json"):
-        why |= _read(run_dir / file).get("left_out", {})
+        why |= read_object(run_dir / file).get("left_out", {})
     told = [f"test camera {name}: {why.get(name, NO_PICTURE)}" for name in names]
     return "; ".join(told) or NO_TEST_CAMERA
 
@@ -101,7 +104,7 @@ def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
         {frame.camera_name: frame.camera for frame in scene.dynamic},
         centre,
     )
-    ingest = _read(run_dir / "ingest" / "ingest.json").get("cameras", {})
+    ingest = read_object(run_dir / "ingest" / "ingest.json").get("cameras", {})
     clocks = _clocks_trained_with(run_dir)
     times = {name: [f["time_s"] for f in c["frames"]] for name, c in ingest.items() if name in clocks}
     errors = compare_clocks(truth, clocks, {name: (t[0], t[-1]) for name, t in times.items() if t})
@@ -115,7 +118,7 @@ def compare(truth: Truth, scene: Scene, run_dir: Path) -> dict[str, Any]:
 def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
     """The clocks that gave the scene its times, with what training moved; on the first camera's, as that was moved."""
     clocks = clocks_in_use(run_dir)
-    moved_s = _read(run_dir / "deformation" / "metrics.json").get("clock_offsets_s", {})
+    moved_s = read_object(run_dir / "deformation" / "metrics.json").get("clock_offsets_s", {})
     zero_s = moved_s.get(next(iter(clocks), ""), 0.0)
     return {
         name: replace(clock, offset_s=clock.offset_s + moved_s.get(name, 0.0) - zero_s)
@@ -125,7 +128,7 @@ def _clocks_trained_with(run_dir: Path) -> dict[str, Clock]:
 
 def training(run_dir: Path) -> dict[str, Any]:
     """What both training stages took, from their metrics.json."""
-    stages = {name: _read(run_dir / name / "metrics.json") for name in ("canonical", "deformation")}
+    stages = {name: read_object(run_dir / name / "metrics.json") for name in TRAINED}
     seconds = {f"{name}_s": stage.get("seconds") for name, stage in stages.items()}
     iterations = sum(stage.get("iterations") or 0 for stage in stages.values())
     total = sum(value or 0.0 for value in seconds.values())
@@ -153,7 +156,7 @@ def versions() -> dict[str, str]:
 
 
 def health(metrics: dict[str, Any], scene: Scene) -> Iterator[Measure]:
-    """Is the result any good, and does motion earn its keep?"""
+    """Is the result any good, does motion earn its keep, and do cameras see enough of the subject?"""
     if any(frame.split == "test" for frame in scene.static):
         yield Measure("views-psnr", metrics["test_static"]["psnr"], "held-out sweep")
     if any(frame.split == "test" for frame in scene.dynamic):
@@ -164,6 +167,15 @@ def health(metrics: dict[str, Any], scene: Scene) -> Iterator[Measure]:
     for name, warn in USUAL_ERRORS.items() if "truth" in metrics else ():
         if metrics["truth"][name] is not None:
             yield Measure("truth-missed", metrics["truth"][name], name, warn=warn)
+    yield from surface_seen(metrics["confidence"])
+
+
+def surface_seen(confidence: dict[str, Any]) -> Iterator[Measure]:
+    """A box that shows nothing, or how much of the subject's motion nobody filmed."""
+    if not confidence["seen_by"]:
+        yield Measure("surface-unseen", "no surface is seen in the box", why="nothing")
+    elif confidence["unseen_share"] is not None:
+        yield Measure("surface-unseen", 100 * confidence["unseen_share"])
 
 
 def _said_retimed(metrics: dict[str, Any]) -> str:
@@ -174,7 +186,3 @@ def _said_retimed(metrics: dict[str, Any]) -> str:
     gain = retimed["psnr"] - metrics["static_baseline"]["test_moving_retimed"]["psnr"]
     offsets = [f"{name} {ms:+.0f} ms" for name, ms in retimed["offsets_ms"].items() if ms is not None]
     return f" A test camera's clock is not known: with {', '.join(offsets)} it gains {gain:.1f} dB."
-
-
-def _read(path: Path) -> dict[str, Any]:
-    return json.loads(path.read_text()) if path.is_file() else {}

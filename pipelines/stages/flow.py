@@ -4,7 +4,6 @@ Pairs are written to `.flow` in the run folder as they are found, and become the
 was stopped finds only those that are missing.
 """
 
-import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -13,9 +12,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from devrf.capture.durable import write_json
 from devrf.capture.formats.flow_files import Flow, read_flow_file
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.measure import noted
+from devrf.capture.progress import part
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import clip_flow, gaps_of
@@ -48,9 +49,6 @@ def run(context: StageContext) -> None:
         def load(k: int, frames: list[PosedFrame] = frames) -> UInt8[np.ndarray, "h w 3"]:
             return load_image(frames[k], 1.0, scene.background)
 
-        def progress(share: float, text: str, n: int = n) -> None:
-            context.progress((n + share) / len(clips), text)
-
         gap = gaps_of(camera, [time_of(frame) for frame in frames])
         paths = [frame.flow for frame in frames]
         found = clip_flow(
@@ -62,17 +60,15 @@ def run(context: StageContext) -> None:
             given(lambda k, paths=paths: _read(paths[k])) if estimator is None else estimated(estimator),
             unfinished,
             at_once,
-            progress,
+            part(context.progress, n / len(clips), 1 / len(clips)),
         )
         checks[camera] = found if _stands_still(frames) else replace(found, shake_px=None)
     for camera in clips:
         (unfinished / camera).rename(context.out / camera)
     shutil.rmtree(unfinished)
     method = METHOD if estimator is None else estimator.name
-    text = json.dumps(
-        {"method": method, "cameras": {name: asdict(check) for name, check in checks.items()}}, indent=1
-    )
-    (context.out / "flow.json").write_text(text + "\n")
+    content = {"method": method, "cameras": {name: asdict(check) for name, check in checks.items()}}
+    write_json(context.out / "flow.json", content)
     if brought:
         first = [name for name, frames in clips.items() if frames[0].flow is not None]
         ignored = [f"that of a first frame is ignored: {', '.join(first)}"] if first else []

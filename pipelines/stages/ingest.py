@@ -14,7 +14,7 @@ from devrf.capture.ingest import write_frames, write_sounds
 from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.session import CaptureSession
 from devrf.capture.srgb import linear_from_srgb
-from devrf.pipelines.budget.raw_files import ingested_at_once
+from devrf.pipelines.budget.at_once import ingested_at_once
 from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.health.light import light_measures

@@ -6,7 +6,6 @@ from devrf.capture.durable import write_json
 from devrf.capture.formats.scene_files import read_scene
 from devrf.capture.picture_files import write_png
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.trained_model import load_trained
 from devrf.reconstruct.film.paths import orbit
 from devrf.reconstruct.film.span import film_cameras, film_lens
 from devrf.reconstruct.film.times import film_times
@@ -17,14 +16,15 @@ SIZES = {"tiny": (48, 12.0, 64_000), "fast": (96, 24.0, 500_000), "reference": (
 
 def run(context: StageContext) -> None:
     """Write `orbit.mp4`, `poster.png` and `film.json`."""
-    from devrf.reconstruct.film.make import Film, make_film  # it needs torch
+    from devrf.reconstruct.film.make import Film, make_film  # they need torch
+    from devrf.reconstruct.model_io import load_model
 
     scene = read_scene(context.run_dir / "scene").in_box_frame()
     count, fps, pixels = SIZES[context.config.preset]
     cameras = film_cameras(scene)
     path = orbit(cameras, scene.aabb, count, film_lens(cameras, pixels))
     times = film_times(scene, count)
-    model = load_trained(context.run_dir, context.device)
+    model = load_model(context.run_dir, context.device)
     begin = time.perf_counter()
     film = Film(tuple(path), tuple(times), fps, {"colour": "orbit"})
     write_png(context.out / "poster.png", make_film(film, model, context.out, context.progress))

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from devrf.capture.durable import whole
 from devrf.capture.measure import Measure
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.report.page import build_report
@@ -57,7 +58,6 @@ def write_report(
     run_folder = RunFolder(run_dir, names, reasons, errors, stale or {})
     facts = [KINDS[config.kind], f"preset {config.preset}"]
     page = build_report(run_folder, config.name, facts)
-    new = path.with_name(f".{path.name}.tmp")
-    new.write_text(page, encoding="utf-8")
-    new.replace(path)
+    with whole(path) as new:
+        new.write_text(page, encoding="utf-8")
     return run_folder.unreadable

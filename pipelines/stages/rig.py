@@ -135,15 +135,17 @@ class _Job:
         self.measures += () if found is None else found.measures
         return found
 
+    @property
+    def given_lenses(self) -> dict[str, Intrinsics]:
+        """The intrinsics in it."""
+        return {} if self.given is None else dict(self.given.intrinsics)
+
     def from_sweep(self) -> Rig:
         """Route A: one clean picture of each camera into the sweep's model; with joint clips one adjustment of both."""
         context, model = self.context, self.model
-        given = {} if self.given is None else self.given.intrinsics
-        known = self._clip_calibrations(self.trained, part(context.progress, 0.0, 0.3)) | given
+        known = self._clip_calibrations(self.trained, part(context.progress, 0.0, 0.3)) | self.given_lenses
         swept = self._register(model, self.trained, known, part(context.progress, 0.3, 0.6))
-        cameras = {
-            n: replace(c, intrinsics_source="given") if n in given else c for n, c in swept.cameras.items()
-        }
+        cameras = {n: self._named_lens(n, c) for n, c in swept.cameras.items()}
         for name, c in cameras.items():
             self.measures += sweep_measures(name, c)
         context.progress(0.65, "metric scale")
@@ -161,18 +163,12 @@ class _Job:
     def from_board(self) -> Rig:
         """Route B: the board before several cameras at once; metres, in the first camera's frame."""
         seen, found = self._board_rig(list(self.trained), self.context.progress)
-        problem = found.solution.problem
         index = {name: c for c, name in enumerate(found.views.names)}
-        cameras = {}
-        for name, c in index.items():
-            support = np.flatnonzero(problem.obs_camera == c)
-            cameras[name] = rig_camera(
-                found.solution, c, seen.start[name], self._lens_source(name), support, _clock(found, name)
-            )
+        cameras = {name: self._of_board(name, seen, found) for name in index}
         if self.board_is_measured:
             self.scales = [Scale(True, "board seen by several cameras at once", 1.0, None)]
         scale = self.scales[0] if self.scales else ARBITRARY
-        rig = Rig(cameras, scale, "board", camera_graph(problem, index))
+        rig = Rig(cameras, scale, "board", camera_graph(found.solution.problem, index))
         self.measures += graph_measures(rig.graph, rig)
         return rig
 
@@ -192,10 +188,9 @@ class _Job:
         alone = {name: self.tests[name]}
         if self.swept is None:
             return self._test_camera_by_board(name, rig)
-        given = {} if self.given is None else self.given.intrinsics
-        known = self._clip_calibrations(alone, no_progress) | given
+        known = self._clip_calibrations(alone, no_progress) | self.given_lenses
         found = self._register(self.model, alone, known, self.context.progress, self.swept).cameras[name]
-        found = replace(found, intrinsics_source="given") if name in given else found
+        found = self._named_lens(name, found)
         self.measures += of_test(name, sweep_measures(name, found))
         return _scaled(found, rig.scale.factor)
 
@@ -205,16 +200,20 @@ class _Job:
             text = f"camera '{name}' has no clip of the board that others see at once (capture.board.joint_clips)"
             raise CalibrationError("rig-without-source", text)
         seen, found = self._by_board([*self.trained, name], self.context.progress)
-        c = found.views.names.index(name)
-        support = np.flatnonzero(found.solution.problem.obs_camera == c)
-        camera = rig_camera(
-            found.solution, c, seen.start[name], self._lens_source(name), support, _clock(found, name)
-        )
+        camera = self._of_board(name, seen, found)
         into = world_from_rig({n: rig.cameras[n].camera for n in self.trained}, found.cameras)
         return replace(camera, camera=camera.camera.moved(into))
 
-    def _lens_source(self, name: str) -> str:
-        return "given" if self.given is not None and name in self.given.intrinsics else "board"
+    def _of_board(self, name: str, seen: JointViews, found: BoardRig) -> RigCamera:
+        """A camera as the joint clips show it, in the board rig's world."""
+        c = found.views.names.index(name)
+        support = np.flatnonzero(found.solution.problem.obs_camera == c)
+        lens = "given" if name in self.given_lenses else "board"
+        return rig_camera(found.solution, c, seen.start[name], lens, support, _clock(found, name))
+
+    def _named_lens(self, name: str, camera: RigCamera) -> RigCamera:
+        """The camera with what its lens is from, where that was given."""
+        return replace(camera, intrinsics_source="given") if name in self.given_lenses else camera
 
     @cached_property
     def model(self) -> SweepModel:
@@ -318,7 +317,7 @@ class _Job:
 
     def _by_board(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
         assert self.clips is not None
-        known = {} if self.given is None else dict(self.given.intrinsics)
+        known = self.given_lenses
         for name in names:
             own = self.clips.own(name)
             if name not in known and own is not None:

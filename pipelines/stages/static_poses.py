@@ -10,7 +10,6 @@ from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.devices import device_groups
 from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.static_poses import (
-    MAX_IMAGE_SIZE,
     SweepModel,
     SweepOptions,
     recover_static_poses,
@@ -20,6 +19,7 @@ from devrf.capture.measure import noted
 from devrf.capture.photo_folders import list_pictures
 from devrf.capture.picture_files import open_picture
 from devrf.capture.progress import Progress, no_progress
+from devrf.pipelines.board_clips import files_of
 from devrf.pipelines.board_spec import board_spec, lens_choice
 from devrf.pipelines.budget.at_once import swept_at_once
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
@@ -46,7 +46,7 @@ def run(context: StageContext) -> None:
         context.config.path(context.scene_dir, capture.static),
         known=None if board is None else board.intrinsics,
         progress=context.progress,
-        options=sweep_options(sfm, context.allowance.left_s, threads, side_px),
+        options=SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px),
     )
     context.measures += sweep_measures(model, None if board is None else board.intrinsics, side_px)
     context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
@@ -95,23 +95,13 @@ def recover_sweep(
             ingest / "frames",
             device_groups(sizes, exif, known),
             out,
-            options=options or sweep_options(config),
+            options=options or SweepOptions(config.mapper),
             ordered=film,
             masks=None if config.masks is None else Path(masks),
             places={name: tags.place for name, tags in exif.items()},
             progress=progress,
         )
     return model, without
-
-
-def sweep_options(
-    config: StaticPosesConfig,
-    left_s: float | None = None,
-    threads: int | None = None,
-    side_px: int = MAX_IMAGE_SIZE,
-) -> SweepOptions:
-    """What the configuration asks for, in no more than the seconds that are left, with so many threads."""
-    return SweepOptions(config.mapper, left_s, threads, side_px)
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -125,10 +115,8 @@ def _board(context: StageContext, frames: FrameSet) -> BoardCalibration | None:
     spec = board_spec(context.config)
     if clip is None or spec is None:
         return None
-    ingest = context.run_dir / "ingest"
-    files = [ingest / frame.file for frame in clip.used if frame.file is not None]
+    files, size = files_of(context.run_dir, clip), (clip.width, clip.height)
     views, settled = find_board(f"board_{SWEEP} ({clip.source})", files, spec, context.progress)
-    size = (clip.width, clip.height)
     return calibrate_intrinsics(SWEEP, views, settled, size, lens_choice(context.config))
 
 

@@ -1,6 +1,5 @@
 """Stage `sync`: every camera's clock, by which cue and how sure, and whether the clips overlap at all."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
@@ -10,10 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.evidence import Curve, Extras
+from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
+from devrf.capture.durable import write_json
 from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest import read_brightness, read_motion, read_sounds
@@ -66,8 +66,8 @@ def run(context: StageContext) -> None:
         for name in sorted(tests):
             placed = job.place(name, trained | {name: joint[name]}, together, "none")
             content["joint"]["cameras"][name] = clock_dict(placed.cameras[name])
-    (context.out / "sync.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    (context.out / "curves.json").write_text(json.dumps(curves, allow_nan=False) + "\n")
+    write_json(context.out / "sync.json", content)
+    write_json(context.out / "curves.json", curves, indent=None)
 
 
 def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
@@ -149,21 +149,10 @@ def as_dict(result: SyncResult) -> dict[str, Any]:
 def _evidence(result: SyncResult) -> dict[str, Any]:
     """What clocks were read from, as it is written to `curves.json`."""
     return {
-        "curves": [_curve_dict(curve) for curve in result.curves],
+        "curves": [curve_dict(curve) for curve in result.curves],
         "loops": [asdict(loop) for loop in result.loops],
         "comparisons": [asdict(c) | {"contradicts": c.contradicts} for c in result.comparisons],
     }
-
-
-def _curve_dict(curve: Curve) -> dict[str, Any]:
-    return {
-        "first": curve.first,
-        "second": curve.second,
-        "method": curve.method,
-        "delay_s": curve.delay_s,
-        "quality": curve.quality,
-        "accepted": curve.accepted,
-    } | curve_dict(curve.lags_s, curve.values)
 
 
 def measures(cameras: dict[str, CameraFrames], result: SyncResult) -> list[Measure]:

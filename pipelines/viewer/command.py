@@ -8,7 +8,6 @@ from collections.abc import Collection
 from ipaddress import ip_address
 
 from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines.console import Talk
 from devrf.pipelines.device import resolve_device
 from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.runner.lock import is_held
@@ -19,11 +18,10 @@ INSTALL = "python -m pip install 'devrf[viewer]'; in a clone: python -m pip inst
 KINDNESS = 10  # niceness beside a run
 
 
-def view(talk: Talk, job: Run, device: str, host: str, port: int, names: Collection[str] = ()) -> None:
+def view(job: Run, device: str, host: str, port: int, names: Collection[str] = ()) -> None:
     """Serve the viewer until the user stops it.
 
     Args:
-        talk: Where it speaks.
         job: The run to be looked at; nothing of it runs.
         device: auto, cpu or cuda; auto leaves the GPU to a run that is at work.
         host, port: Where pages are served.
@@ -48,10 +46,10 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int, names: Collect
         os.nice(KINDNESS)
         if device == "auto":
             device = "cpu"
-            talk.say("a run is at work here: the viewer takes the CPU and stands back for it")
+            job.talk.say("a run is at work here: the viewer takes the CPU and stands back for it")
     device = resolve_device(device, job.config.budget.gpu_memory_gb)
     if not _is_loopback(host):
-        talk.say(
+        job.talk.say(
             f"warning: --host {host} lets everyone in this network see the scene and its pictures; nobody is asked "
             "for a password",
             style="yellow",
@@ -66,7 +64,7 @@ def view(talk: Talk, job: Run, device: str, host: str, port: int, names: Collect
             raise DevrfError("port-unusable", text) from None
         try:
             shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-            talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
+            job.talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
             threading.Event().wait()
         finally:
             if not site.close():

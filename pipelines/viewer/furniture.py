@@ -8,7 +8,7 @@ import viser
 from devrf.capture.camera import Camera
 from devrf.capture.formats.colmap_poses import quat_wxyz
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.pictures import spread
+from devrf.capture.spread import spread
 
 # whether shown where a picture can be seen; else all are. The first view is often a test camera's
 GROUPS = {"cameras": True, "test cameras": False, "sweep": False, "points": False}

@@ -110,9 +110,8 @@ def progress(run_dir: Path) -> dict[str, Any]:
 
 
 def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
-    from devrf.pipelines.trained_model import load_trained
     from devrf.reconstruct.model import DynamicModel
-    from devrf.reconstruct.model_io import FILE, load_rest
+    from devrf.reconstruct.model_io import FILE, load_model, load_rest
     from devrf.reconstruct.unfinished import motion_in_training, rest_in_training
 
     if found.rest_training is not None:
@@ -120,7 +119,7 @@ def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
     if found.motion_training is not None:
         rest = load_rest(run_dir / "canonical" / FILE, device)
         return DynamicModel(rest, motion_in_training(checkpoint_path(run_dir, "deformation"), device))
-    model = load_trained(run_dir, device)
+    model = load_model(run_dir, device)
     return model if found.motion is not None else replace(model, motion=None, in_motion=None, movers=None)
 
 

@@ -14,11 +14,12 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
+from devrf.capture.spread import spread
 from devrf.reconstruct.canonical import EMPTY
 from devrf.reconstruct.film.span import fixed_cameras
 from devrf.reconstruct.geometry.field import Field
 from devrf.reconstruct.model import DynamicModel, render_layers
-from devrf.reconstruct.pictures import spread, training
+from devrf.reconstruct.pictures import training
 from devrf.reconstruct.rays import pixel_directions
 from devrf.reconstruct.rest_model import RestModel
 

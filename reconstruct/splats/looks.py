@@ -14,6 +14,7 @@ from torch import Tensor
 from devrf.capture.camera import Camera
 from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene, image_scale_for
+from devrf.capture.spread import spread
 from devrf.reconstruct.film.paths import orbit
 from devrf.reconstruct.film.span import film_cameras, film_lens
 from devrf.reconstruct.geometry import seen
@@ -22,7 +23,7 @@ from devrf.reconstruct.kernels.background import expand
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.pictures import clips, spread, training
+from devrf.reconstruct.pictures import clips, training
 from devrf.reconstruct.rays import camera_rays, intersect
 from devrf.reconstruct.shell import CUBE, Shell
 

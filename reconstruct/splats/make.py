@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.progress import Progress, no_progress, part
 from devrf.capture.scene import Scene, plain_colour
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.splats.fit import fit
@@ -74,12 +74,9 @@ def make_splats(
         ReconstructError: The model shows no surface.
     """
     behind = behind_of(scene).to(model.rest.canonical.density.device)
-    placed, others = look_around(scene, model, lambda done, text: progress(LOOKING * done, text))
+    placed, others = look_around(scene, model, part(progress, 0.0, LOOKING))
     gaussians = sample(placed, count, SEED)
-
-    def fitting(done: float, text: str) -> None:
-        progress(LOOKING + (1 - LOOKING) * done, text)
-
+    fitting = part(progress, LOOKING, 1 - LOOKING)
     nodes = nodes_of(model, gaussians.places, times)
     if rounds:
         gaussians = fit(model, gaussians, [*placed, *others], behind, rounds, SEED, fitting, nodes)

@@ -31,7 +31,7 @@ def set_config(run: Path, config: dict[str, Any], code: str = "a") -> None:
     for stage in stage_names():
         stamp = run / stage / "stamp.json"
         if stamp.is_file():
-            identity = {"config": config, "code": {"devrf.reconstruct.render": code}}
+            identity = {"config": config, "rooms": {"reconstruct": code}}
             write_json(stamp, json.loads(stamp.read_text()) | {"identity": identity})
 
 

@@ -11,18 +11,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from devrf.capture import raw, video
 from devrf.capture.frames import CameraFrames, FrameRecord
 from devrf.capture.pictures import write_picture
 from devrf.capture.session import CaptureSession
 from devrf.capture.upright import Upright
 from devrf.capture.video import VideoInfo
 from devrf.capture.video_writer import write_video
-from devrf.pipelines.budget import at_once, raw_files
-from devrf.pipelines.budget.allowance import Allowance
-from devrf.pipelines.budget.at_once import BASE, fitting, flow_at_once, registered_at_once, swept_at_once
-from devrf.pipelines.budget.raw_files import ingested_at_once, photos_too_large
+from devrf.pipelines.budget import at_once
+from devrf.pipelines.budget.at_once import (
+    BASE,
+    fitting,
+    flow_at_once,
+    ingested_at_once,
+    registered_at_once,
+    swept_at_once,
+)
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.stage import StageContext
+from devrf.pipelines.preflight import photos_too_large
+from devrf.pipelines.stage import Allowance, StageContext
 
 GB = 10**9
 LARGE = 3840, 2160
@@ -67,7 +74,7 @@ def test_clips_and_photos_take_what_was_measured(tmp_path: Path, monkeypatch: py
     clip = VideoInfo(Path("c.mp4"), *LARGE, "h264", 60.0, 1800, 30.0, False, Upright())
 
     def ingested(gb: float, static: Path | None = None, **changes: object) -> int:
-        monkeypatch.setattr(raw_files, "probe_video", lambda path: replace(clip, **changes))
+        monkeypatch.setattr(video, "probe_video", lambda path: replace(clip, **changes))
         return ingested_at_once(within(gb * GB), CaptureSession(static=static, cameras={"cam0": clip.path}))
 
     assert 4 <= ingested(0.54 + 0.35) <= 6
@@ -77,7 +84,7 @@ def test_clips_and_photos_take_what_was_measured(tmp_path: Path, monkeypatch: py
     (tmp_path / "photos").mkdir()
     write_picture(tmp_path / "photos" / "0.jpg", np.zeros((LARGE[1], LARGE[0], 3), np.uint8))
     assert ingested(0.6 + BASE / GB, tmp_path / "photos") == ingested(0.6 + BASE / GB)
-    monkeypatch.setattr(raw_files, "is_raw", lambda path: True)
+    monkeypatch.setattr(raw, "is_raw", lambda path: True)
     assert ingested(0.6 + BASE / GB, tmp_path / "photos") < ingested(0.6 + BASE / GB)
 
 

@@ -9,13 +9,11 @@ import pytest
 from tests.pipelines.small_stages import job, small_stages, write
 
 from devrf.pipelines.budget import disk
-from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.budget.disk import Room, room_of, watched
-from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
+from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.static_poses import sweep_options
+from devrf.pipelines.stage import Allowance, StageContext
 
 
 def configured(**sections: object) -> SceneConfig:
@@ -110,7 +108,6 @@ def test_the_film_is_left_for_later_and_the_report_is_not(
     assert execute(run) == DONE and run.executed == ["render", "report"]
 
 
-def test_structure_from_motion_takes_no_more_time_than_is_left() -> None:
-    assert [sweep_options(StaticPosesConfig(), left_s).time_s for left_s in (60.0, None)] == [60.0, None]
+def test_a_stage_knows_what_is_left_of_its_time() -> None:
     assert 59 < (Allowance(until=time.monotonic() + 60).left_s or 0) <= 60
     assert Allowance(until=time.monotonic() - 1).left_s == 0 and Allowance().left_s is None

@@ -13,10 +13,11 @@ from devrf.capture.scene import Scene
 from devrf.pipelines.clocks import clock_dict
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.health.training import moved_clock_measures
+from devrf.pipelines.report.run import RunFolder
+from devrf.pipelines.report.views import views
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages import deformation
+from devrf.pipelines.stages import deformation, stage_names
 from devrf.pipelines.stages.deformation import unknown_test_clocks
-from devrf.pipelines.unknown_clocks import unknown_clock_notes, unknown_clocks
 from devrf.reconstruct.as_trained import as_trained
 from devrf.reconstruct.model import DynamicModel
 from devrf.reconstruct.view_offsets import ViewOffset
@@ -68,12 +69,12 @@ def test_offsets_of_test_clocks_are_said(tmp_path: Path) -> None:
     (row,) = judge(moved_clock_measures({"one": 0.028, "two": None}, "test"))
     assert row.verdict == "warn" and row.value == pytest.approx(28) and row.about == "one"
     assert "test_moving_retimed" in row.remedy and moved_clock_measures({"two": None}, "test") == []
-    assert len(unknown_clock_notes(clocks, ["cam0", "two", "one"])) == 2
-    assert "+28 ms" in unknown_clock_notes(clocks, ["one"])[0]
-    assert unknown_clocks(tmp_path) == {}
-    (tmp_path / "deformation").mkdir()
-    (tmp_path / "deformation" / "metrics.json").write_text(json.dumps({"test_clocks": clocks}))
-    assert unknown_clocks(tmp_path) == clocks
+    shown = [{"camera": camera, "time": 0.5} for camera in ("cam0", "two", "one")]
+    for stage, metrics in (("evaluate", {"per_view": shown}), ("deformation", {"test_clocks": clocks})):
+        (tmp_path / stage).mkdir()
+        (tmp_path / stage / "metrics.json").write_text(json.dumps(metrics))
+    one, two = views(RunFolder(tmp_path, stage_names(), {}))["clocks"]
+    assert one.startswith("one ") and "+28 ms" in one and "(not clear)" in two
 
 
 def test_pictures_of_a_test_camera_stay_whatever_its_clock(odd_scene: Scene) -> None:

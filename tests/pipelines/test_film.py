@@ -21,6 +21,7 @@ from devrf.capture.errors import InputError
 from devrf.capture.formats.export import MARKER
 from devrf.capture.progress import no_progress
 from devrf.pipelines import run_command
+from devrf.pipelines.budget import memory
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.console import Talk
@@ -50,7 +51,7 @@ def scene(made: Path, tmp_path: Path) -> Path:
 def film(scene: Path, **options: object) -> Path:
     """Make a film in this process; its folder."""
     job = run_command.prepare(Talk("normal"), scene, None, None, None, check_files=False)
-    return command.film(job.talk, job, Asked(**{**SMALL, **options}), "cpu")  # type: ignore[arg-type]
+    return command.film(job, Asked(**{**SMALL, **options}), "cpu")  # type: ignore[arg-type]
 
 
 def about(folder: Path) -> dict:
@@ -241,7 +242,7 @@ def test_runs_that_are_not_whole_are_shown_as_such(scene: Path, capsys: pytest.C
 
 
 def test_too_large_pictures_are_refused(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(command, "allowed_bytes", lambda config: 1_000_000_000)
+    monkeypatch.setattr(memory, "allowed_bytes", lambda config: 1_000_000_000)
     with refused("film-needs-memory", "4096x4096", " 1 GB ", "--size", kind=InputError):
         film(made, size="4096x4096")
 

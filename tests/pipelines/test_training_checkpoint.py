@@ -9,7 +9,6 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from devrf.pipelines.budget.allowance import Allowance
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.console import Talk
@@ -17,7 +16,7 @@ from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.runner.plan import Choice
 from devrf.pipelines.runner.run import Run
-from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.stage import Allowance, Stage, StageContext
 from devrf.pipelines.training_checkpoint import training_checkpoint
 from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
 from devrf.reconstruct.checkpoint import Checkpoint, Saved

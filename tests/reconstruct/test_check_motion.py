@@ -14,7 +14,7 @@ from tests.make.models import NDC, canonical, still
 from tests.reconstruct.conftest import true_motion
 
 from devrf.capture.scene import PosedFrame
-from devrf.pipelines.health.in_motion import in_motion_measures
+from devrf.pipelines.health.training import in_motion_measures
 from devrf.reconstruct.as_trained import retimed
 from devrf.reconstruct.check_motion import (
     FEWEST_PICTURES,

@@ -18,7 +18,6 @@ from devrf.capture.formats import read_scene, write_scene
 from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.confidence import confidence_measures
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import evaluate
@@ -115,8 +114,8 @@ def _run(
     seen_by = [{"cameras": 0, "share": unseen_share}, {"cameras": 1, "share": 1 - unseen_share}]
     shares = {"moves": True, "unseen_share": unseen_share, "seen_by": seen_by}
     model = SimpleNamespace(unshaded=lambda: unshaded and unshaded(render))
-    monkeypatch.setattr(evaluate, "load_trained", lambda run_dir, device: model)
-    monkeypatch.setattr(evaluate, "renderer", lambda asked: render if asked is model else asked)
+    monkeypatch.setattr(evaluate, "load_model", lambda run_dir, device: model)
+    monkeypatch.setattr(evaluate, "partial", lambda view, asked: render if asked is model else asked)
     monkeypatch.setattr(evaluate, "subject_seen", asked or (lambda scene, model: shares))
     evaluate.run(context)
     return json.loads((context.out / "metrics.json").read_text())
@@ -204,7 +203,7 @@ def test_clocks_that_training_moved_are_held_against_the_truth(
 
 
 def test_a_box_without_anything_solid_is_told():
-    (row,) = judge(confidence_measures({"moves": False, "unseen_share": None, "seen_by": []}))
+    (row,) = judge(evaluate.surface_seen({"moves": False, "unseen_share": None, "seen_by": []}))
     assert row.verdict == "warn" and isinstance(row.value, str)
 
 

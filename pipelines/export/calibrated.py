@@ -1,9 +1,11 @@
-"""Exports of the cameras alone, as a calibration."""
+"""Exports of what was calibrated: the scene as a data set, or the cameras alone."""
 
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import read_rig
+from devrf.capture.formats import write_dataset
 from devrf.capture.formats.export import README
 from devrf.pipelines.export.request import Request
+from devrf.pipelines.trained_scene import trained_scene
 
 TEXT = """Cameras of a devrf rig.
 
@@ -12,7 +14,14 @@ Read again with calibration.rig.given in scene.yaml.
 """
 
 
-def write(request: Request) -> None:
+def write_scene(request: Request) -> None:
+    """Write the scene of a run as a data set."""
+    name, scene = request.name, trained_scene(request.run_dir)
+    with request.disk_told(), request.talk.progress(f"export {name}") as progress:
+        request.notes = write_dataset(name, scene, request.folder, progress, request.notes)
+
+
+def write_cameras(request: Request) -> None:
     """Write the rig of a run in one of `RIG_WRITERS`' formats."""
     rig = read_rig(request.run_dir / "rig" / "rig.json")
     cameras = {name: c.camera for name, c in rig.cameras.items()}
