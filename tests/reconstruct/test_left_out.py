@@ -9,7 +9,8 @@ from tests.reconstruct.conftest import TRAVEL, Ball, ball_clips
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.left_out import ONE_IN, PER_PICTURE, LeftOut, left_out
-from devrf.reconstruct.left_out_errors import Errors, gain_text
+from devrf.reconstruct.left_out_errors import Errors
+from devrf.reconstruct.paired import gain_text
 from devrf.reconstruct.rays import RaySet
 
 TIMES = 40

@@ -45,17 +45,18 @@ def test_points_pull_their_nodes_as_the_product_of_derivatives_says(
 
 
 def test_edges_hold_their_nodes_as_the_product_of_derivatives_says(rng: np.random.Generator) -> None:
-    """Edges go both ways, and some say nothing."""
+    """Edges go both ways."""
     one_way = np.array([[0, 1], [1, 2], [4, 3], [5, 6]])
-    edges, kept = np.vstack([one_way, one_way[:, ::-1]]), np.array([1, 1, 1, 0, 1, 1, 1, 1], bool)
-    by_node, residual = rng.normal(size=(kept.sum(), 2, 3, 6)), rng.normal(size=(kept.sum(), 3))
+    edges = np.vstack([one_way, one_way[:, ::-1]])
+    by_node, residual = rng.normal(size=(len(edges), 2, 3, 6)), rng.normal(size=(len(edges), 3))
     blocks = Blocks.of(followed_by(rng), edges, NODES)
-    found, right = edge_terms(blocks, edges, kept, by_node, residual)
-    J = np.zeros((3 * kept.sum(), 6 * NODES))
-    for n, (edge, both) in enumerate(zip(edges[kept], by_node, strict=True)):
+    found, right = edge_terms(blocks, edges, by_node, residual)
+    J = np.zeros((3 * len(edges), 6 * NODES))
+    for n, (edge, both) in enumerate(zip(edges, by_node, strict=True)):
         for node, of_node in zip(edge, both, strict=True):
             J[3 * n : 3 * n + 3, 6 * node : 6 * node + 6] = of_node
     np.testing.assert_allclose(blocks.matrix(found).toarray(), J.T @ J, atol=1e-9)
     np.testing.assert_allclose(right, J.T @ residual.ravel(), atol=1e-9)
-    nothing, zero = edge_terms(blocks, edges, np.zeros(len(edges), bool), by_node[:0], residual[:0])
+    alone = np.zeros((0, 2), dtype=int)  # a graph of nodes that nothing joins
+    nothing, zero = edge_terms(Blocks.of(followed_by(rng), alone, NODES), alone, by_node[:0], residual[:0])
     assert not nothing.any() and not zero.any()
