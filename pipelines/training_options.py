@@ -13,5 +13,16 @@ def training_options(config: SceneConfig, scene: Scene) -> "Options":
     """The preset, for such a scene, with what the file overrides."""
     from devrf.reconstruct.options import preset
 
-    chosen = config.reconstruct.model_dump(exclude={"image_scale"})  # that one is the scene's
-    return preset(config.preset, forward=scene.ndc is not None, **chosen)
+    chosen = config.reconstruct
+    options = preset(
+        config.preset,
+        forward=scene.ndc is not None,
+        resolution=chosen.resolution,
+        rays=chosen.rays,
+        canonical_iterations=chosen.canonical_iterations,
+        motion_iterations=chosen.motion_iterations,
+        key_times=chosen.key_times,
+        adapt=chosen.adapt,
+        seed=chosen.seed,
+    )
+    return options
