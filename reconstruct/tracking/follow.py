@@ -171,10 +171,8 @@ def _both_ways(
     there = _follow(surface, graph, films, times[middle:], seen[1], tell, runs, f"{name}, forward")
     back = [film.backwards() for film in films]
     here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell, runs, f"{name}, back")
-    xyz = np.concatenate(
-        [np.stack([x.astype(np.float32) for x in one]) for one in (here.xyz[:0:-1], there.xyz) if one]
-    )
-    lost = np.concatenate([here.lost[:0:-1], there.lost])
+    xyz = np.stack([x.astype(np.float32) for x in (*here.xyz[:0:-1], *there.xyz)])
+    lost = np.stack([*here.lost[:0:-1], *there.lost])
     return _Following(Tracks(times, xyz, lost, offsets), seen, here.left_out.with_those_of(there.left_out))
 
 
