@@ -4,10 +4,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.capture.durable import read_json, read_object
+
+if TYPE_CHECKING:  # they bring OpenCV, which reading clocks does not need
+    from devrf.calibration.clocks.evidence import Curve
+    from devrf.calibration.clocks.geometry import PairCheck
 
 
 def clock_dict(clock: Clock) -> dict[str, Any]:
@@ -15,8 +19,8 @@ def clock_dict(clock: Clock) -> dict[str, Any]:
     return asdict(clock) | {"std_s": clock.std_s if math.isfinite(clock.std_s) else None}
 
 
-def curve_dict(curve: Any) -> dict[str, Any]:
-    """How well clips agree at each lag, a `Curve` or `PairCheck`, as `curves.json` and `clock_check.json` have it."""
+def curve_dict(curve: "Curve | PairCheck") -> dict[str, Any]:
+    """How well clips agree at each lag, as `curves.json` and `clock_check.json` have it."""
     lags_s, values = curve.lags_s.tolist(), curve.values.tolist()
     rounded = {"lags_s": [round(x, 6) for x in lags_s], "values": [round(x, 5) for x in values]}
     return asdict(curve) | rounded

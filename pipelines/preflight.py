@@ -118,8 +118,8 @@ def photos_too_large(config: SceneConfig, session: CaptureSession) -> list[str]:
     for folder in (session.static, *session.board_clips.values()):
         if folder is None or not folder.is_dir():
             continue
-        largest = max(list_pictures(folder), key=photo_bytes)
-        if (wrong := too_much(config, BASE + photo_bytes(largest))) is not None:
+        needed, largest = max((photo_bytes(path), path) for path in list_pictures(folder))
+        if (wrong := too_much(config, BASE + needed)) is not None:
             photo = probe_picture(largest)
             size = f"{photo.width}x{photo.height}"
             problems.append(f"{largest}: a photo of {size} needs {wrong}, or make the photos smaller")

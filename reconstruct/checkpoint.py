@@ -129,10 +129,8 @@ class Checkpoint:
                 save_tensors(new, ready, {"devrf": numbers} | proof)
             sync(self.path.parent)
             written = True
-        except (
-            OSError,
-            SafetensorError,
-        ) as error:  # a full disk: the one before stays, training need not end
+        except (OSError, SafetensorError) as error:
+            # a full disk: the one before stays, training need not end
             logger.warning("%s: the checkpoint cannot be written (%s)", self.path, error)
         self._written = time.monotonic()
         self._gap_s, self._timed = max(FIRST_S, (self._written - start) / SHARE), True

@@ -19,47 +19,42 @@ class CrossValidation:
     """Likeness of pictures to points that the other cameras placed.
 
     Attributes:
-        likeness: Mean over points of each picture, by camera and the picture's number in its clip; 1: it shows them,
-            -1: it shows what stands behind them.
-        times: When each was taken, in the scene's time of [0, 1].
+        pictures: By camera and number in its clip when each was taken, in the scene's time of [0, 1], and its likeness,
+            a mean over points; 1: it shows them, -1: it shows what stands behind them.
     """
 
     def __init__(self) -> None:
         """Nothing has been left out."""
-        self.likeness: dict[tuple[int, int], float] = {}
-        self.times: dict[tuple[int, int], float] = {}
+        self.pictures: dict[tuple[int, int], tuple[float, float]] = {}
 
     def add(self, camera: int, number: int, time: float, likeness: np.ndarray) -> None:
         """What a picture shows of points [m] that the other cameras placed."""
         if len(likeness) >= FEWEST_POINTS:
-            self.likeness[camera, number] = float(likeness.mean())
-            self.times[camera, number] = time
+            self.pictures[camera, number] = time, float(likeness.mean())
 
     def gain_over(self, other: "CrossValidation") -> Gain:
         """By how much pictures are more alike than by another way to follow, of those of both, with its interval."""
-        both = [key for key in self.likeness if key in other.likeness]
+        both = [key for key in self.pictures if key in other.pictures]
         if not both:
             return Gain(0.0, None, ())
-        mine, theirs = ([one.likeness[key] for key in both] for one in (self, other))
-        cameras = [str(camera) for camera, _ in both]
-        return gain_within_clips(mine, theirs, cameras, [self.times[key] for key in both])
+        times, mine = zip(*(self.pictures[key] for key in both), strict=True)
+        theirs = [other.pictures[key][1] for key in both]
+        return gain_within_clips(mine, theirs, [str(camera) for camera, _ in both], times)
 
     def with_those_of(self, other: "CrossValidation") -> "CrossValidation":
         """The pictures of both."""
         out = CrossValidation()
-        out.likeness, out.times = self.likeness | other.likeness, self.times | other.times
+        out.pictures = self.pictures | other.pictures
         return out
 
     def state(self) -> dict[str, np.ndarray]:
         """What has been left out."""
         return {
-            "pictures": np.array(list(self.likeness), dtype=int).reshape(-1, 2),
-            "likeness": np.array(list(self.likeness.values()), dtype=float),
-            "times": np.array(list(self.times.values()), dtype=float),
+            "left out": np.array(list(self.pictures), dtype=int).reshape(-1, 2),
+            "likeness": np.array(list(self.pictures.values()), dtype=float).reshape(-1, 2),
         }
 
     def take_up(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from a `state`."""
-        keys = [(camera, number) for camera, number in state["pictures"].tolist()]
-        self.likeness = dict(zip(keys, state["likeness"].tolist(), strict=True))
-        self.times = dict(zip(keys, state["times"].tolist(), strict=True))
+        every = zip(state["left out"].tolist(), state["likeness"].tolist(), strict=True)
+        self.pictures = {(camera, number): (time, likeness) for (camera, number), (time, likeness) in every}

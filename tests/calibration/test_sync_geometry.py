@@ -67,7 +67,7 @@ def test_motion_along_epipolar_lines_shows_nothing():
     assert refined(clocks, check) == clocks
 
 
-def example_view(name: str, shift_s: float = 0.0, scale: float = 1.0) -> TimedPictures:
+def example_view(name: str, shift_s: float = 0.0) -> TimedPictures:
     truth = json.loads((EXAMPLE / "ground_truth.json").read_text())["cams"][name]
     K = np.array(truth["K"])
     K[:2, 2] += 0.5
@@ -75,12 +75,9 @@ def example_view(name: str, shift_s: float = 0.0, scale: float = 1.0) -> TimedPi
     with VideoReader(EXAMPLE / f"{name}.mp4") as reader:
         frames = list(reader)
     camera = Camera(480, 360, K, pose, np.array([truth["k1"], 0, 0, 0, 0]))
-    grey = [cv2.cvtColor(f.rgb, cv2.COLOR_RGB2GRAY) for f in frames]
-    small = np.stack([cv2.resize(g, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) for g in grey])
+    grey = np.stack([cv2.cvtColor(f.rgb, cv2.COLOR_RGB2GRAY) for f in frames])
     file_s = np.array([f.time_s for f in frames])
-    return TimedPictures(
-        camera.scaled(scale), small, truth["offset_s"] + shift_s + (1 + 1e-6 * truth["drift_ppm"]) * file_s
-    )
+    return TimedPictures(camera, grey, truth["offset_s"] + shift_s + (1 + 1e-6 * truth["drift_ppm"]) * file_s)
 
 
 @pytest.mark.full
@@ -111,7 +108,7 @@ def test_right_clocks_pass_and_a_late_one_is_found_and_replaced():
 @pytest.mark.parametrize(("late", "pairs"), [(None, 2), ("cam2", 6)])
 def test_a_camera_whose_sound_is_200_ms_off_is_found_where_sound_seems_sure(late: str | None, pairs: int):
     names = ("cam0", "cam1", "cam2", "cam3")
-    views = {name: example_view(name, 0.2 if name == late else 0.0, scale=0.5) for name in names}
+    views = {name: example_view(name, 0.2 if name == late else 0.0) for name in names}
     clocks = {name: Clock(0.0, 0.0, 1e-4, "audio", 0.95, "") for name in names}
     clocks["cam0"] = Clock(0.0, 0.0, 0.0, "reference", 1.0, "")
     check = check_clocks(views, clocks, loop_s=1e-4)

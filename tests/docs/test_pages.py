@@ -91,6 +91,16 @@ def test_the_schema_takes_the_example_and_no_slip(tmp_path: Path) -> None:
             jsonschema.validate({**example, **slip}, schema)
 
 
+def test_what_the_page_of_keys_says() -> None:
+    assert all(len(meaning) > 5 for _, _, meaning, _ in ROWS.values()) and len(ROWS) > 60
+    assert ROWS["name"][1] == "(needed)" and ROWS["capture.static"][0] == "path"
+    assert ROWS["capture.board.square_m"][0] == "number above 0 to 10"
+    assert ROWS["capture.rest"][0] == "auto, start, middle, end, none"
+    assert ROWS["evaluate.holdout_every"][1] == "`8`"
+    assert ROWS["reconstruct.resolution"][1] == "`112` · `160` · `160`"
+    assert [ROWS[key][3] for key in ("evaluate.truth", "budget.memory_gb")] == ["evaluate", "–"]
+
+
 # --- links ---
 
 

@@ -186,7 +186,7 @@ def portrait(folder: Path, data_dir: Path, given: Path) -> Path:
     source = data_dir / "pose2sim_single" / "videos"
     clips = {path.stem: str(path) for path in sorted(source.glob("cam*.mp4"))}
     assert len(clips) == 4
-    capture = {"cameras": clips, "range_s": [0, 0.05]}
+    capture = {"cameras": clips, "range_s": [0, 0.1]}
     calibration = {"rig": {"given": str(given)}, "sync": {"method": "none"}}
     return write_scene(folder, name="portrait", capture=capture, calibration=calibration)
 
@@ -242,9 +242,7 @@ def cloth(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFact
     """The run folder of the waving sheet, to its metrics."""
     folder = tmp_path_factory.mktemp("cloth")
     dataset = {"format": "devrf", "path": str(data_dir / "devrf_cloth"), "frame_stride": 5}
-    scene = write_scene(
-        folder, name="cloth", dataset=dataset, reconstruct={"image_scale": 0.5, "canonical_iterations": 300}
-    )
+    scene = write_scene(folder, name="cloth", dataset=dataset)
     result = devrf("run", scene, "--until", "evaluate")
     assert result.code == 0, result.said
     return folder / "run"

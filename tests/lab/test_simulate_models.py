@@ -46,6 +46,12 @@ def test_faces_look_outward(model: Model) -> None:
             assert mesh.faces is part.rest.faces and mesh.uv.min() >= 0 and mesh.uv.max() <= 1 + 1e-9
 
 
+def test_it_is_textured_in_several_colours(model: Model) -> None:
+    means = np.array([part.rest.texture.mean((0, 1)) for part in model])
+    assert np.ptp(means, axis=0).max() > 60
+    assert np.median([part.rest.texture.std((0, 1)).mean() for part in model]) > 15
+
+
 @pytest.mark.full
 def test_motion_scale_and_seed() -> None:
     for kind in MODELS.values():

@@ -2,21 +2,24 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from devrf.lab.simulate.scenes.bodies import TABLE_TOP_M
 from devrf.lab.simulate.scenes.catalogue import (
     CENTRE,
     ROOM_HALF_M,
     ROOM_HEIGHT_M,
+    WALLS,
     MovingObject,
     Paint,
     room,
+    texture,
 )
 from devrf.lab.simulate.scenes.changing import CHANGES
 from devrf.lab.simulate.scenes.furniture import ROOMS, furnished
 from devrf.lab.simulate.scenes.objects import OBJECTS, SHEET_HEIGHT_M, SHEET_TOP_M, SHEET_WIDTH_M, make_object
 from devrf.lab.simulate.scenes.session_options import SessionOptions
-from devrf.lab.simulate.scenes.shapes import rounded_box
+from devrf.lab.simulate.scenes.shapes import ball, rounded_box
 from devrf.lab.simulate.session.camera_rig import fixed_cameras, sweep_cameras
 
 TIMES_S = np.linspace(0.05, 2.5, 12)
@@ -106,6 +109,15 @@ def test_what_turns_over_shows_its_underside_and_stays_on_its_plinth() -> None:
         assert thing.vertices_at(time_s)[:, 2].min() == pytest.approx(thing.rest.vertices[:, 2].min())
 
 
+def test_foot_and_seam_of_the_column() -> None:
+    thing = make_object("column", np.random.default_rng(0), SessionOptions())
+    moved = thing.vertices_at(1.4).reshape(56, 72, 3)
+    np.testing.assert_allclose(moved[:, 0], moved[:, -1], atol=1e-12)  # closed around
+    assert np.linalg.norm(moved[-1] - moved[-1, 0], axis=-1).max() < 0.004  # closed at the top
+    rest = thing.rest.vertices.reshape(56, 72, 3)
+    assert np.abs(moved[0].mean(0) - rest[0].mean(0)).max() < 0.01
+
+
 def test_faces_look_outward_or_into_the_room() -> None:
     column = make_object("column", np.random.default_rng(0), SessionOptions()).rest
     a, b, c = (column.vertices[column.faces[:, i]] for i in range(3))
@@ -116,6 +128,15 @@ def test_faces_look_outward_or_into_the_room() -> None:
         middle = wall.vertices.mean(0)
         assert np.isclose(np.abs(middle[:2]).max(), ROOM_HALF_M)
         assert np.cross(b - a, c - a)[:2] @ middle[:2] < 0
+
+
+def test_textures_differ_by_seed_and_vanish_without_contrast() -> None:
+    def make(seed: int, contrast: float) -> np.ndarray:
+        return texture(np.random.default_rng(seed), 60, 80, 0.006, contrast, paint=WALLS[0])
+
+    np.testing.assert_array_equal(make(0, 1.0), make(0, 1.0))
+    assert np.abs(make(0, 1.0).astype(int) - make(1, 1.0)).mean() > 10
+    np.testing.assert_array_equal(make(0, 0.0), np.broadcast_to(WALLS[0].tint, (60, 80, 3)))
 
 
 @pytest.mark.parametrize("kind", ROOMS)
@@ -158,3 +179,23 @@ def test_blocks_touch_while_one_pushes_the_other_and_never_overlap() -> None:
         assert rolling[:, 1].min() - second[:, 1].max() > -1e-6
         assert abs(rolling[:, 2].min() - TABLE_TOP_M) < 2e-3  # it rolls on the table
     assert min(gaps) > -1e-6 and np.sum(np.abs(gaps) < 1e-6) > 5 and gaps[0] > 0.05
+
+
+def test_a_hand_of_the_figure_is_at_its_thigh_at_rest_and_leaves_it() -> None:
+    thing = make_object("figure", np.random.default_rng(0), SessionOptions())
+    distances = []
+    for time_s in (0.0, 0.8):
+        parts = np.split(thing.vertices_at(time_s), np.cumsum(_figure_sizes(thing))[:-1])
+        thigh, forearm = parts[4], parts[8]
+        distances.append(cdist(thigh, forearm).min())
+    assert distances[0] < 0.02 < 0.05 < distances[1]
+
+
+def _figure_sizes(thing: MovingObject) -> list[int]:
+    """Vertices of each part: two boxes, the neck and the head; then per side thigh, shin, shoe, upper arm, forearm."""
+    rng, paint = np.random.default_rng(0), Paint((0, 0, 0))
+    of_box = len(rounded_box(rng, (1.0, 1.0, 1.0), paint).vertices)
+    of_ball = len(ball(rng, paint, 1.0).vertices)
+    of_limb = (len(thing.rest.vertices) - 4 * of_box - of_ball) // 9
+    side = [of_limb, of_limb, of_box, of_limb, of_limb]
+    return [of_box, of_box, of_limb, of_ball, *side, *side]

@@ -113,3 +113,8 @@ def test_what_comes_back_when_the_damage_is_lessened() -> None:
     at_once = points([result(1.0, 20.0)], CALM)
     assert (at_once.failure, at_once.lessened, at_once.lessened_db) == (1, 0, 25)  # undamaged
     assert points([result(1.0, 24.0)], CALM).lessened is None
+
+
+def test_severities_rise() -> None:
+    for axis in AXES.values():
+        assert list(axis.severities) == sorted(set(axis.severities)) and 3 <= len(axis.severities) <= 4

@@ -4,16 +4,20 @@ import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock, Mock
 
 import pytest
 from tests.pipelines.small_stages import job, small_stages, write
 
+from devrf.calibration.sweep.static_poses import SweepOptions
+from devrf.capture.progress import no_progress
 from devrf.pipelines.budget import disk
 from devrf.pipelines.budget.disk import Room, room_of, watched
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import Allowance, StageContext
+from devrf.pipelines.stages import static_poses
 
 
 def configured(**sections: object) -> SceneConfig:
@@ -106,6 +110,33 @@ def test_the_film_is_left_for_later_and_the_report_is_not(
     assert "render" in said and "report" not in said and "[out-of-time]" in said
     run = job(folder, (first, film, report), "budget.time_minutes=1")
     assert execute(run) == DONE and run.executed == ["render", "report"]
+
+
+def test_structure_from_motion_takes_no_more_time_than_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[SweepOptions] = []
+
+    def recover(*arguments: object, options: SweepOptions, **named: object) -> None:
+        asked.append(options)
+        raise InterruptedError
+
+    config = configured(calibration={"static_poses": {"mapper": "global"}})
+    for name, value in (
+        ("FrameSet", MagicMock()),
+        ("_board", Mock(return_value=None)),
+        ("recover_sweep", recover),
+    ):
+        monkeypatch.setattr(static_poses, name, value)
+    monkeypatch.setattr(static_poses, "swept_at_once", lambda context, sweep: (3, 960))
+    for until in (time.monotonic() + 60, None):
+        allowance = Allowance(until=until)
+        context = StageContext(config, tmp_path, tmp_path, tmp_path, no_progress, "cpu", allowance=allowance)
+        with pytest.raises(InterruptedError):
+            static_poses.run(context)
+    within, whenever = asked
+    assert within.time_s is not None and 59 < within.time_s <= 60 and whenever.time_s is None
+    assert (within.mapper, within.threads, within.side_px) == ("global", 3, 960)
 
 
 def test_a_stage_knows_what_is_left_of_its_time() -> None:

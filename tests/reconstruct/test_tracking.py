@@ -583,13 +583,13 @@ def test_what_was_left_out_is_kept_and_compared() -> None:
         one.add(n % 2, n, n / 16, np.full(30, 0.5 + 0.01 * (n % 4)))
         (other if n < 12 else CrossValidation()).add(n % 2, n, n / 16, np.full(30, 0.2))
     one.add(0, 99, 0.5, np.ones(5))
-    assert (0, 99) not in one.likeness
+    assert (0, 99) not in one.pictures
     assert other.gain_over(one).side() == -1 and one.gain_over(other).side() == 1
     assert one.gain_over(other).mean == pytest.approx(0.315)
     again, empty = CrossValidation(), CrossValidation()
     again.take_up(one.state())
-    assert again.likeness == one.likeness and again.times == one.times
-    assert empty.gain_over(one).side() == 0 and empty.with_those_of(one).likeness == one.likeness
+    assert again.pictures == one.pictures
+    assert empty.gain_over(one).side() == 0 and empty.with_those_of(one).pictures == one.pictures
 
 
 def test_two_motions_are_two_parts(tracks: Tracks) -> None:
