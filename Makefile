@@ -47,7 +47,7 @@ docs-serve: $(VENV)/.installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
 
 pages: $(VENV)/.installed
-	$(BIN)/typer devrf.pipelines.cli utils docs --name devrf-pipeline --output docs/commands.md
+	$(BIN)/typer devrf.pipelines.cli.main utils docs --name devrf-pipeline --output docs/commands.md
 	$(BIN)/python docs/site/configuration.py
 
 venv: $(VENV)/.installed

@@ -62,7 +62,17 @@ def main() -> None:
 
 def _start(folder: Path, scenes: int, *words: str) -> subprocess.Popen:
     paths = [str(tiny_scene(folder, f"scene{n:02d}").parent) for n in range(scenes)]
-    command = [sys.executable, "-m", "devrf.pipelines.cli", "batch", *paths, "--device", "cpu", "--jobs", "2"]
+    command = [
+        sys.executable,
+        "-m",
+        "devrf.pipelines.cli.main",
+        "batch",
+        *paths,
+        "--device",
+        "cpu",
+        "--jobs",
+        "2",
+    ]
     return subprocess.Popen([*command, "--out", str(folder / "out"), "--quiet", *words])
 
 

@@ -19,24 +19,24 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from devrf.calibration.truth import read_truth, similarity
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
 from devrf.lab.bench.bench_rows import Row
-from devrf.pipelines.clocks import clocks_in_use
 from devrf.pipelines.config.load import load_scene
+from devrf.pipelines.inputs.training_options import training_options
+from devrf.pipelines.run_folder.clocks import clocks_in_use
 from devrf.pipelines.stages.evaluate import true_masks
-from devrf.pipelines.training_options import training_options
-from devrf.reconstruct.as_trained import as_trained
-from devrf.reconstruct.evaluate import LpipsNets, evaluate
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.model_io import FILE, load_rest
-from devrf.reconstruct.tracking.film import films
+from devrf.reconstruct.evaluation.evaluate import LpipsNets, evaluate
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.sampling.retimed import as_trained
+from devrf.reconstruct.storage.model_io import FILE, load_rest
 from devrf.reconstruct.tracking.find import at_rest, parts_of
 from devrf.reconstruct.tracking.follow import Tracks, moments
-from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.rigid import motion_of
-from devrf.reconstruct.train_movers import train_movers
+from devrf.reconstruct.tracking.solver.graph import Graph
+from devrf.reconstruct.tracking.views.film import films
+from devrf.reconstruct.training.train_movers import train_movers
 
 NEAR = 2.5  # spacings of the surface: points farther from every true one stand
 AROUND = 16  # true points around one

@@ -25,7 +25,7 @@ from tests.faults.mutations import NUMBERS
 
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
-from devrf.capture.video_writer import write_video
+from devrf.capture.video.video_writer import write_video
 from devrf.lab.bench.bench_rows import Row
 
 MOST_S, MOST_MB = 10.0, 1000.0

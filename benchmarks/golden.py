@@ -68,7 +68,7 @@ print(digest.hexdigest()[:16], folder)
 IN_PROCESS = """
 import json, sys
 from typer.testing import CliRunner
-from devrf.pipelines.cli import app
+from devrf.pipelines.cli.main import app
 done = []
 for name, arguments in json.load(sys.stdin).items():
     result = CliRunner().invoke(app, arguments)
@@ -80,7 +80,7 @@ FIRST_SEVERITIES = """
 import sys
 from dataclasses import replace
 from devrf.lab.bench.stability.axes import AXES
-from devrf.pipelines.cli import app
+from devrf.pipelines.cli.main import app
 for name, axis in AXES.items():
     AXES[name] = replace(axis, severities=axis.severities[:1])
 app(sys.argv[1:])

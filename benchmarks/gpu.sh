@@ -18,7 +18,7 @@ python=${PYTHON:-$([ -x .venv/bin/python ] && echo .venv/bin/python || echo pyth
 name=$("$python" -c 'import sys, yaml; print(yaml.safe_load(open(sys.argv[1]))["name"])' "$scene")
 results=${RESULTS:-benchmarks/results}
 bench() {
-  "$python" -m devrf.pipelines.cli bench "$1" "$scene" --preset reference --device cuda \
+  "$python" -m devrf.pipelines.cli.main bench "$1" "$scene" --preset reference --device cuda \
     --out "runs/gpu-$name/$1" --json "$results/$1-$name.json" "${@:2}"
 }
 bench speed "$@"

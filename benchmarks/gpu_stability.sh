@@ -23,5 +23,5 @@ print(*(f"--set {setting}" for setting in SETTINGS))'))
   shift
 fi
 results=${RESULTS:-benchmarks/results}
-"$python" -m devrf.pipelines.cli bench stability "${scene[@]}" --device cuda --severities 2 --minutes "$MINUTES" \
+"$python" -m devrf.pipelines.cli.main bench stability "${scene[@]}" --device cuda --severities 2 --minutes "$MINUTES" \
   --out "${OUT:-runs/gpu-stability}" --json "$results/stability-gpu.json" "$@"

@@ -20,7 +20,7 @@ from script import arguments, finish
 
 from devrf.lab.bench.bench_rows import Row
 
-PROGRAM = [sys.executable, "-m", "devrf.pipelines.cli"]
+PROGRAM = [sys.executable, "-m", "devrf.pipelines.cli.main"]
 STARTS = 5
 BUSY = "while True: pass"
 

@@ -15,7 +15,7 @@ from benchmarks.script import arguments
 from tests.capture.passing import simulate_passing
 
 from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes
-from devrf.capture.picture_files import read_pixels
+from devrf.capture.photos.picture_files import read_pixels
 
 SCREENS = {"green screen": (30, 160, 70), "blue screen": (20, 60, 190)}
 

@@ -21,17 +21,17 @@ from benchmarks.script import finish
 from tests.make.scenes import UNIT_BOX, scene_of
 from tests.reconstruct import conftest as ball
 
-from devrf.capture.processes import memory_of
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.system.processes import memory_of
 from devrf.flow.store import CameraFlow
 from devrf.lab.bench.bench_rows import Row
-from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.footprint import footprint
-from devrf.reconstruct.memory_fit import UNSURE
-from devrf.reconstruct.model_io import load_rest, save_rest
+from devrf.reconstruct.adapt.footprint import footprint
+from devrf.reconstruct.adapt.memory_fit import UNSURE
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_deformation import train_deformation
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.storage.model_io import load_rest, save_rest
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_deformation import train_deformation
 
 RESULT = Path("benchmarks/results/memory-cpu.json")
 SMALL, LARGE = (48, 40), (960, 800)

@@ -19,9 +19,9 @@ from tests.browser.conftest import FLAGS
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene
 from devrf.lab.bench.bench_rows import Row
-from devrf.reconstruct.metrics import psnr
-from devrf.reconstruct.model import render_view
-from devrf.reconstruct.model_io import load_model
+from devrf.reconstruct.evaluation.metrics import psnr
+from devrf.reconstruct.rendering.model import render_view
+from devrf.reconstruct.storage.model_io import load_model
 
 SIDE, SECONDS, GOAL = 400, 6, 20
 MOST_MB = 25

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from devrf.calibration.truth import Truth
 from devrf.capture.scene import Scene
 from devrf.lab.bench.bench_rows import Row, publish
-from devrf.pipelines.console import Talk
 from devrf.pipelines.stages.evaluate import versions
+from devrf.pipelines.terminal.console import Talk
 
 
 def arguments(about: str | None, *paths: str, **options: Any) -> argparse.Namespace:

@@ -15,15 +15,15 @@ import viser
 from benchmarks.script import arguments, finish
 
 from devrf.capture.camera import Camera
-from devrf.capture.picture_files import to_8_bits
+from devrf.capture.photos.picture_files import to_8_bits
 from devrf.lab.bench.bench_rows import Row
-from devrf.pipelines.device import resolve_device
-from devrf.pipelines.viewer.site import CHUNK_CPU, QUALITY_MOVING, first_camera, hiding_depth
+from devrf.pipelines.inputs.device import resolve_device
+from devrf.pipelines.viewer.progressive import FIRST, at_most
+from devrf.pipelines.viewer.server import CHUNK_CPU, QUALITY_MOVING, first_camera, hiding_depth
 from devrf.pipelines.viewer.source import Loaded, load, look
-from devrf.reconstruct.film.paths import orbit
-from devrf.reconstruct.film.span import film_cameras, film_lens
-from devrf.reconstruct.model import render_layers
-from devrf.reconstruct.refinement import FIRST, at_most
+from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
+from devrf.reconstruct.geometry.paths import orbit
+from devrf.reconstruct.rendering.model import render_layers
 
 SIZES = {(200, 112): 5.0, (960, 540): 30.0}  # pictures a second that are wanted; the second of a GPU
 FIRST_S = 2.0  # wanted

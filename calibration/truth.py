@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from devrf.calibration.clocks.equations import Clock
-from devrf.capture.arrays import ArrayError, read_npz
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.limits import TEXT_BYTES, check_bytes
+from devrf.capture.system.arrays import ArrayError, read_npz
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.limits import TEXT_BYTES, check_bytes
 
 FEWEST_CENTRES = 3  # a similarity needs three points that are not on one line
 COLLINEAR = 1e-6  # second extent over first; below, the turn about the line is free

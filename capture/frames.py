@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from devrf.capture.errors import CaptureError
 from devrf.capture.exif import Exif, exif_from_dict
 from devrf.capture.measure import Measure
+from devrf.capture.system.errors import CaptureError
 
 Role = Literal["sweep", "camera", "test", "board", "joint"]
 

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import RIGID_TOLERANCE, Camera
-from devrf.capture.errors import CaptureError
-from devrf.capture.look import Look
-from devrf.capture.picture_files import read_pixels
-from devrf.capture.resize import shrink
+from devrf.capture.colour.correction import Look
+from devrf.capture.photos.picture_files import read_pixels
+from devrf.capture.photos.resize import shrink
+from devrf.capture.system.errors import CaptureError
 
 Background = str  # "shell", "white", "black" or "#rrggbb" (`plain_colour`)
 PLAIN_COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}

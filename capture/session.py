@@ -11,17 +11,23 @@ from types import MappingProxyType
 
 import numpy as np
 
-from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.media import check_file
-from devrf.capture.photo_folders import list_pictures
-from devrf.capture.pictures import probe_picture
-from devrf.capture.raw import WhiteBalance, check_unpacks, is_raw
-from devrf.capture.raw_compression import compression_of
+from devrf.capture.photos.photo_folders import list_pictures
+from devrf.capture.photos.raw import WhiteBalance, check_unpacks, is_raw
+from devrf.capture.photos.raw_compression import compression_of
+from devrf.capture.photos.upright_pictures import probe_picture
 from devrf.capture.rest import Rest
-from devrf.capture.sampled import picture_times
-from devrf.capture.slow_motion import check_filmed_rate
-from devrf.capture.timestamps import FrameTimes, check_indices, check_table, read_timestamps, table_factor
-from devrf.capture.video import VideoInfo, probe_video
+from devrf.capture.system.errors import DevrfError, InputError
+from devrf.capture.video.media import check_file
+from devrf.capture.video.reader import VideoInfo, probe_video
+from devrf.capture.video.sampled import picture_times
+from devrf.capture.video.slow_motion import check_filmed_rate
+from devrf.capture.video.timestamps import (
+    FrameTimes,
+    check_indices,
+    check_table,
+    read_timestamps,
+    table_factor,
+)
 
 MIN_SWEEP_FRAMES = 2  # structure from motion needs two; how many are enough is for its own health check
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from devrf.capture.errors import FlowError
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.errors import FlowError
+from devrf.capture.system.progress import Progress, no_progress
 from devrf.flow.checks import FlowChecks, PairChecks, summary
 from devrf.flow.pair import Find, Load, measured
 from devrf.flow.store import pair_path, read_checks, write_pair

@@ -12,8 +12,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Float32, UInt8
 from scipy.ndimage import uniform_filter
 
-from devrf.capture.errors import FlowError
-from devrf.capture.resize import shrink
+from devrf.capture.photos.resize import shrink
+from devrf.capture.system.errors import FlowError
 from devrf.flow.estimator import FlowEstimator
 
 RELATIVE = 0.5  # share of the two flows' lengths the round trip may miss by (DynamicNeRF, alpha_1)

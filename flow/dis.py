@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from devrf.flow.padding import crop, pad
+from devrf.flow.raft.padding import crop, pad
 
 SMALLEST_SIDE = 24  # pixels; below, the coarsest pyramid level is smaller than one 8 x 8 patch
 

@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.flow.methods import installed, mistake
 
 
@@ -62,7 +62,7 @@ def create_estimator(method: str, weights: Path | None = None, device: str = "cp
 
         return DisFlow()
     if method == "raft":
-        from devrf.flow.raft import RaftFlow
+        from devrf.flow.raft.raft import RaftFlow
 
         assert weights is not None  # checked
         return RaftFlow(weights, device)

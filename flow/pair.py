@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from scipy.ndimage import uniform_filter
 
-from devrf.capture.errors import FlowError
-from devrf.capture.resize import shrink
+from devrf.capture.photos.resize import shrink
+from devrf.capture.system.errors import FlowError
 from devrf.flow.checks import LARGE_SHARE_OF_WIDTH, MOVING_PX, PairChecks
 from devrf.flow.consistency import both_ways, luma, resize_flow, supported, warp
 from devrf.flow.estimator import FlowEstimator

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float16, Float32, Int, Int16, UInt8
 
-from devrf.capture.arrays import ArrayError, read_npz
-from devrf.capture.durable import whole
-from devrf.capture.errors import FlowError
+from devrf.capture.system.arrays import ArrayError, read_npz
+from devrf.capture.system.durable import whole
+from devrf.capture.system.errors import FlowError
 
 STEPS_PER_PX = 64
 FARTHEST_PX = 511.0  # 16 bits of steps

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from devrf.pipelines.cli_options import QuietOption, errors_told, talk_of
+from devrf.pipelines.terminal.shared_options import QuietOption, errors_told, talk_of
 
 
 def simulate(

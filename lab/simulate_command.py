@@ -9,15 +9,15 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
 from devrf.lab.simulate.protocol.forward import simulate_forward
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.pipelines.config.words import suggestion
-from devrf.pipelines.console import Talk
 from devrf.pipelines.stamps.code_version import code_version
+from devrf.pipelines.terminal.console import Talk
 
 Options = TypeVar("Options", bound=BaseModel)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from devrf.capture.measure import Measure
-from devrf.capture.progress import Progress
+from devrf.capture.system.progress import Progress
 from devrf.pipelines.health.judge import HealthRow, judge
 
 if TYPE_CHECKING:

@@ -198,7 +198,7 @@ def devrf() -> Command:
     from tests.declared import watch
     from typer.testing import CliRunner
 
-    from devrf.pipelines.cli import app
+    from devrf.pipelines.cli.main import app
 
     watched = watch()
 
@@ -221,7 +221,7 @@ def devrf_process() -> Command:
     def call(*arguments: str | Path, limit_s: float = RUN_LIMIT_S) -> CommandResult:
         start = time.monotonic()
         result = subprocess.run(
-            [sys.executable, "-m", "devrf.pipelines.cli", *map(str, arguments)],
+            [sys.executable, "-m", "devrf.pipelines.cli.main", *map(str, arguments)],
             capture_output=True,
             text=True,
             timeout=limit_s,

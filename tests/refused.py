@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from devrf.capture.errors import DevrfError
+from devrf.capture.system.errors import DevrfError
 
 
 @contextmanager

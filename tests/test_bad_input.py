@@ -21,9 +21,9 @@ import yaml
 from tests.refused import refused
 from tests.waiting import wait_for
 
-from devrf.capture.errors import InputError
-from devrf.capture.video import probe_video
-from devrf.capture.video_writer import write_video
+from devrf.capture.system.errors import InputError
+from devrf.capture.video.reader import probe_video
+from devrf.capture.video.video_writer import write_video
 from devrf.capture.view_axes import look_at
 
 SIZE = (320, 240)

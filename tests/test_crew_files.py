@@ -12,10 +12,10 @@ import pytest
 import yaml
 from tests.conftest import Command
 
-from devrf.capture.clips import Keep, extract_clip
 from devrf.capture.frames import CameraFrames
-from devrf.capture.pictures import read_picture
-from devrf.capture.raw_compression import compression_of
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
+from devrf.capture.photos.raw_compression import compression_of
+from devrf.capture.photos.upright_pictures import read_picture
 from devrf.capture.session import CaptureSession, preflight
 
 Copy = Callable[[str], Path]

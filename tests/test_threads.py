@@ -27,7 +27,7 @@ def policy_of_torch(module: str, **environment: str) -> str:
         "devrf",
         *(
             pytest.param(module, marks=pytest.mark.full)
-            for module in ("devrf.pipelines.cli", "devrf.calibration.sweep.sfm_worker")
+            for module in ("devrf.pipelines.cli.main", "devrf.calibration.sweep.sfm_worker")
         ),
     ],
 )

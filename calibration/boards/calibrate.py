@@ -14,9 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool
 
-from devrf.calibration.boards.detect import misfit, misread
-from devrf.calibration.boards.evidence import Evidence, gather_evidence
-from devrf.calibration.boards.fit import (
+from devrf.calibration.boards.board_fit import (
     BOW,
     GLOBALS,
     Corners,
@@ -29,10 +27,12 @@ from devrf.calibration.boards.fit import (
     residual,
     start_fit,
 )
+from devrf.calibration.boards.coverage import Evidence, gather_evidence
+from devrf.calibration.boards.detect import misfit, misread
 from devrf.calibration.boards.spec import BoardSpec, BoardView
 from devrf.calibration.intrinsics import PARAMETERS, Intrinsics, guess
 from devrf.capture.camera import LensModel
-from devrf.capture.errors import HealthError
+from devrf.capture.system.errors import HealthError
 
 LensChoice = Literal["auto", "pinhole", "fisheye"]
 

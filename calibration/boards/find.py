@@ -8,9 +8,9 @@ from devrf.calibration.boards.detect import MIN_CORNERS, detector, edge_width
 from devrf.calibration.boards.instead import seen_instead
 from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, settle
 from devrf.calibration.boards.spec import BoardSpec, BoardView
-from devrf.capture.errors import HealthError
-from devrf.capture.pictures import read_grey
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.photos.upright_pictures import read_grey
+from devrf.capture.system.errors import HealthError
+from devrf.capture.system.progress import Progress, no_progress
 
 ENOUGH_VIEWS = 20  # of a chessboard; up to here pictures in which it was not found are searched once more
 

@@ -8,7 +8,7 @@ import numpy as np
 from devrf.calibration.boards.guess import OF_BORDER, Grey, chessboard_size
 from devrf.calibration.boards.layout import TRIAL_MARKERS, spread
 from devrf.calibration.boards.spec import dictionary, marker_finder
-from devrf.capture.pictures import read_grey
+from devrf.capture.photos.upright_pictures import read_grey
 
 PICTURES = 4  # all dictionaries take a second in each
 LOOKS = (  # mirrored, white on black, cells of border

@@ -23,8 +23,8 @@ from devrf.calibration.boards.spec import (
     marker_finder,
     marker_places,
 )
-from devrf.capture.errors import HealthError
-from devrf.capture.pictures import read_grey
+from devrf.capture.photos.upright_pictures import read_grey
+from devrf.capture.system.errors import HealthError
 
 TRIAL_VIEWS = 12  # views with markers that decide inverted, legacy and swapped
 TRIAL_PICTURES = 8  # in which a chessboard of another size is looked for

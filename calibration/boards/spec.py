@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 Auto = Literal["auto"] | bool
 BoardType = Literal["charuco", "chessboard", "aruco_grid"]

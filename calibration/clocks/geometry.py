@@ -18,7 +18,7 @@ from jaxtyping import Float
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
 from devrf.calibration.clocks.epipolar_tracks import TrackFinder, track_delay
 from devrf.calibration.clocks.equations import Clock, Equation, Loop, Solution, consistent, loops, solve
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.progress import Progress, no_progress
 
 COARSE_MOMENTS, FINE_MOMENTS = 6, 12  # of the wide and the narrow search for common points
 FINE_SEARCH_FRAMES = 1.5  # short tracks are lost less often

@@ -17,7 +17,7 @@ from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks, resample_poly
 
-from devrf.capture.audio import Sound
+from devrf.capture.video.audio import Sound
 
 BAND_HZ = (300.0, 8000.0)  # below: wind, handling, hum; above: low-rate AAC leaves nothing
 BAND_EDGE = 0.2  # relative width of the band's cosine edges; hard edges ring

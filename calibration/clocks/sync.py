@@ -14,6 +14,16 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from devrf.calibration.clocks.cues import (
+    Comparison,
+    Curve,
+    Evidence,
+    Extras,
+    hear,
+    hear_again,
+    see_flashes,
+    watch,
+)
 from devrf.calibration.clocks.equations import (
     SURE,
     Clock,
@@ -28,22 +38,12 @@ from devrf.calibration.clocks.equations import (
     reached_from_first,
     solve,
 )
-from devrf.calibration.clocks.evidence import (
-    Comparison,
-    Curve,
-    Evidence,
-    Extras,
-    hear,
-    hear_again,
-    see_flashes,
-    watch,
-)
 from devrf.calibration.clocks.motion import ACCEPT_CORRELATION, ACCEPT_SCORE
 from devrf.calibration.clocks.times import doubts, stated_delay, timecode_guesses
-from devrf.capture.audio import Sound
-from devrf.capture.errors import CalibrationError
-from devrf.capture.progress import Progress, no_progress
-from devrf.capture.recorded import Recorded
+from devrf.capture.system.errors import CalibrationError
+from devrf.capture.system.progress import Progress, no_progress
+from devrf.capture.video.audio import Sound
+from devrf.capture.video.recorded import Recorded
 
 Method = Literal["auto", "audio", "motion", "flash", "timestamps", "none"]
 

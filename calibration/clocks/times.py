@@ -8,7 +8,7 @@ more than a guess by itself, and both are checked against what was measured.
 from collections.abc import Mapping
 
 from devrf.calibration.clocks.equations import Equation
-from devrf.capture.recorded import Recorded
+from devrf.capture.video.recorded import Recorded
 
 CREATION_STD_S = 1.0  # whole seconds, and some cameras write the end of the second
 TIMECODE_STD_FRAMES = 0.6  # whole frames of free-running cameras

@@ -11,7 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from devrf.calibration.colour.fit import Correction, brighter_by, difference, fit_correction, folds, needed
+from devrf.calibration.colour.correction_fit import (
+    Correction,
+    brighter_by,
+    difference,
+    fit_correction,
+    folds,
+    needed,
+)
 from devrf.calibration.colour.surface import Pairs
 
 HELD_BACK = 4  # one in so many tiles

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from devrf.capture.camera import Camera
-from devrf.capture.srgb import LINEAR_OF_LEVEL
+from devrf.capture.colour.srgb import LINEAR_OF_LEVEL
 
 # samples of a patch, a pixel apart in the coarser picture: enough texture, and small against the scene
 SIDE = 9

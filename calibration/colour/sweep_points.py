@@ -13,7 +13,7 @@ from devrf.calibration.colour.surface import Pairs, View, shared_colours
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.camera import Camera
 from devrf.capture.frames import SWEEP
-from devrf.capture.resize import shrink
+from devrf.capture.photos.resize import shrink
 
 MOST_POINTS = 3000  # of a camera, those that the sweep's model knows best
 MOST_PICTURES = 40  # of the sweep that are read for a camera: a second or two

@@ -24,7 +24,7 @@ from devrf.calibration.formats.qualisys import read_qualisys
 from devrf.calibration.formats.toml_tables import parse as parse_toml
 from devrf.calibration.formats.toml_tables import read_toml, write_caliscope
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 __all__ = ["RIG_WRITERS", "Found", "FoundCamera", "find_calibration", "find_single_files"]
 

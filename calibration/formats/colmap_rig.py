@@ -11,12 +11,12 @@ import numpy as np
 
 from devrf.calibration.formats.found import Found, FoundCamera
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.formats.colmap import intrinsics, model_camera, model_folder, model_folders
-from devrf.capture.formats.colmap_model import Model, ModelImage, read_model, write_model
-from devrf.capture.formats.colmap_poses import pose, quat_wxyz
-from devrf.capture.formats.colmap_rigs import common_rig, write_rigs
-from devrf.capture.formats.files import with_slashes
+from devrf.capture.formats.colmap.colmap_model import Model, ModelImage, read_model, write_model
+from devrf.capture.formats.colmap.colmap_poses import pose, quat_wxyz
+from devrf.capture.formats.colmap.colmap_rigs import common_rig, write_rigs
+from devrf.capture.formats.colmap.colmap_scene import intrinsics, model_camera, model_folder, model_folders
+from devrf.capture.formats.parts.files import with_slashes
+from devrf.capture.system.errors import InputError
 
 FORMAT = "COLMAP model"
 # rad; of the rig's size: what a fixed camera's pictures may differ by

@@ -10,7 +10,7 @@ from typing import Any
 
 from devrf.calibration.formats.found import Found, FoundCamera, distortion_of, matrix, pose, size_of, text_of
 from devrf.calibration.formats.opencv import storage
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 FORMAT = "EasyMocap"
 INTRI, EXTRI = "intri.yml", "extri.yml"

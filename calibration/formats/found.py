@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import RIGID_TOLERANCE, Camera, LensModel
-from devrf.capture.errors import InputError
-from devrf.capture.limits import is_device
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.limits import is_device
 
 Unit = Literal["m", "cm", "mm", "arbitrary", "unsaid"]
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tau_x", "tau_y")

@@ -22,8 +22,8 @@ from devrf.calibration.formats.found import (
     pose,
     size_of,
 )
-from devrf.capture.errors import InputError
-from devrf.capture.picture_files import natural_key
+from devrf.capture.photos.picture_files import natural_key
+from devrf.capture.system.errors import InputError
 
 FORMAT = "kalibr camchain"
 LENSES = {"radtan": False, "none": False, "equidistant": True}  # whether it is OpenCV's fisheye model

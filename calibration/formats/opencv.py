@@ -30,7 +30,7 @@ from devrf.calibration.formats.found import (
 )
 from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 ENDINGS = (".yml", ".yaml", ".xml", ".json")
 MATRIX_KEYS = ("camera_matrix", "Camera_Matrix")  # the second by OpenCV before 3.0

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, pose, size_of
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 FORMAT = "Qualisys"
 SUBPIXELS = 64

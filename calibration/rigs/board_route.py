@@ -27,7 +27,7 @@ from devrf.calibration.rigs.board_views import (
     start_poses,
 )
 from devrf.capture.camera import Camera
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.progress import Progress, no_progress
 
 OUTLIER_QUANTILE, OUTLIER_FACTOR = 0.75, 5.0
 OUTLIER_FLOOR_PX = 0.2  # views below this are never dropped

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from devrf.calibration.boards.board_fit import board_pose
 from devrf.calibration.boards.find import BoardSpec, BoardView
-from devrf.calibration.boards.fit import board_pose
 from devrf.calibration.intrinsics import Intrinsics
-from devrf.capture.errors import HealthError
+from devrf.capture.system.errors import HealthError
 
 MIN_SHARED_POINTS = 50  # of a link between two cameras that is used (caliscope: fewer fail, under 200 warn)
 

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from devrf.capture.pictures import read_grey
-from devrf.capture.spread import spread
+from devrf.capture.photos.upright_pictures import read_grey
+from devrf.capture.system.spread import spread
 
 PICTURES = 25  # of the clip that are looked at: a bump is found to a twenty-fifth of its length
 FEATURES = 600

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.rest import Rest
-from devrf.capture.spread import spread
+from devrf.capture.system.errors import CaptureError
+from devrf.capture.system.spread import spread
 
 CLIP_FRAMES = 21  # of the whole clip's median
 REST_FRAMES = 3

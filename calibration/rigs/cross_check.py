@@ -19,7 +19,7 @@ from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.board_route import boards_before, rig_from_board
 from devrf.calibration.rigs.board_views import TimedView, Views
 from devrf.capture.camera import Camera
-from devrf.capture.errors import HealthError
+from devrf.capture.system.errors import HealthError
 
 HELD_OUT_S = 0.8  # in a row: a picture's time and motion need neighbours that are held out too
 HELD_OUT_EVERY = 3  # a third of these stretches

@@ -15,9 +15,9 @@ from devrf.calibration.formats import Found, FoundCamera, find_calibration, find
 from devrf.calibration.formats.opencv import is_json as is_opencv_json
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, read_rig
-from devrf.capture.errors import InputError
 from devrf.capture.measure import Measure, noted
-from devrf.capture.picture_files import natural_key
+from devrf.capture.photos.picture_files import natural_key
+from devrf.capture.system.errors import InputError
 
 KEY = "calibration.rig.given"
 CALIBRATION = "given calibration"

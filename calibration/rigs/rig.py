@@ -15,8 +15,8 @@ import numpy as np
 from devrf.calibration.formats.found import OTHER_NAMES
 from devrf.calibration.rigs.graph import Link
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.limits import TEXT_BYTES, check_bytes
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.limits import TEXT_BYTES, check_bytes
 
 
 @dataclass(frozen=True)

@@ -19,13 +19,13 @@ from devrf.calibration.bundle.adjust import Solution, adjust
 from devrf.calibration.bundle.problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics, guess
 from devrf.calibration.rigs.registration import FEATURE_STD_PX, Registration, register, weak_prior
-from devrf.calibration.rigs.result import rig_camera
 from devrf.calibration.rigs.rig import RigCamera
+from devrf.calibration.rigs.rig_cameras import rig_camera
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.static_poses import SweepModel, feature_options
-from devrf.capture.arrays import read_npz
-from devrf.capture.errors import HealthError
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.arrays import read_npz
+from devrf.capture.system.errors import HealthError
+from devrf.capture.system.progress import Progress, no_progress
 
 MIN_INLIERS = 30  # COLMAP's own minimum for a pose
 PLENTY_INLIERS = 300  # another picture of the same camera would add nothing

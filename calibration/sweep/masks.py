@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from devrf.capture.errors import InputError
-from devrf.capture.picture_files import read_pixels
+from devrf.capture.photos.picture_files import read_pixels
+from devrf.capture.system.errors import InputError
 
 GROWN = 0.01  # of the longer side: contact shadows, and the width of the filter that finds a feature
 BLACK_BELOW = 128  # of 255; masks saved as JPEG or resized are not quite black and white

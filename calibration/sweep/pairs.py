@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from devrf.capture.spread import spread
+from devrf.capture.system.spread import spread
 
 EXHAUSTIVE_UP_TO = 70  # frames of a film; all pairs beyond that take longer than the features
 OVERLAP = 8  # neighbours in a longer film

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from devrf.calibration.sweep.sfm_budget import Deadline
-from devrf.capture.progress import Progress
+from devrf.capture.system.progress import Progress
 
 MIN_POINTS = 30  # COLMAP's minimum for one pose; global mapping of a camera that only turned leaves fewer
 GLOBAL_COST = 2.0  # global mapping takes one to two times as long as incremental mapping of the same pairs

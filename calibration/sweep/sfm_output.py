@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.capture.camera import Camera, LensModel
-from devrf.capture.formats.colmap import intrinsics
-from devrf.capture.formats.colmap_model import ModelCamera
+from devrf.capture.formats.colmap.colmap_model import ModelCamera
+from devrf.capture.formats.colmap.colmap_scene import intrinsics
 
 FEWEST_INLIERS = 15  # of a verified pair (COLMAP's own bound)
 

@@ -10,9 +10,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from devrf.capture.errors import CalibrationError
-from devrf.capture.processes import run_module
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.errors import CalibrationError
+from devrf.capture.system.processes import run_module
+from devrf.capture.system.progress import Progress, no_progress
 
 GRACE_S = 5.0  # pycolmap's SIGTERM handler can dead-lock after a heap fault: then SIGKILL
 LOG_LINES = 12

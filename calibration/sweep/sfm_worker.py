@@ -32,9 +32,9 @@ from devrf.calibration.sweep.sfm_output import (
     write_two_views,
 )
 from devrf.calibration.sweep.two_views import against_model, read_two_views, torn_apart
-from devrf.capture.cores import usable_cores
-from devrf.capture.durable import whole
-from devrf.capture.processes import die_with_parent
+from devrf.capture.system.cores import usable_cores
+from devrf.capture.system.durable import whole
+from devrf.capture.system.processes import die_with_parent
 
 MAPPER_THREADS = 1  # more: whichever first pair is found first begins the model; as fast at 70 pictures
 SEED = 0  # the same sweep gives the same model

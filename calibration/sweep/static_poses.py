@@ -23,11 +23,11 @@ from devrf.calibration.sweep.pairs import plan_pairs
 from devrf.calibration.sweep.sfm_output import camera_at
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.two_views import against_model, kinds_report, read_two_views, torn_apart
-from devrf.capture.arrays import read_npz
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CalibrationError, HealthError
 from devrf.capture.exif import Place
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.arrays import read_npz
+from devrf.capture.system.errors import CalibrationError, HealthError
+from devrf.capture.system.progress import Progress, no_progress
 
 Mapper = Literal["incremental", "global", "both"]
 

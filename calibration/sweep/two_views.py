@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from devrf.capture.arrays import read_npz
 from devrf.capture.camera import Camera, undistort
+from devrf.capture.system.arrays import read_npz
 
 FITS_PX = 4.0  # from the epipolar line: COLMAP's own bound for an inlier of a pair
 STRONG_PAIR = 100  # inliers; COLMAP begins a model with such a pair, so it can decide where things are

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import Pictures, time_within
-from devrf.capture.formats.files import (
+from devrf.capture.formats.parts.assembly import Pictures, time_within
+from devrf.capture.formats.parts.files import (
     Header,
     find_picture,
     frames_of,
@@ -21,10 +20,11 @@ from devrf.capture.formats.files import (
     read_json,
     safe_name,
 )
-from devrf.capture.formats.opengl import camera_of
-from devrf.capture.formats.scene_files import OWN_KEY
-from devrf.capture.formats.transforms import index_of
+from devrf.capture.formats.parts.opengl import camera_of
+from devrf.capture.formats.parts.scene_files import OWN_KEY
+from devrf.capture.formats.parts.transforms import index_of
 from devrf.capture.scene import PosedFrame, Split
+from devrf.capture.system.errors import CaptureError
 
 SAME_POSE_DECIMALS = 6  # of a matrix: one fixed camera's entries may be rounded differently
 

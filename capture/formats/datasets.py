@@ -7,8 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import (
+from devrf.capture.formats.blender import read_blender
+from devrf.capture.formats.colmap.colmap_scene import read_colmap, write_colmap
+from devrf.capture.formats.devrf import read_devrf
+from devrf.capture.formats.llff import read_llff
+from devrf.capture.formats.nerfstudio import read_nerfstudio, write_nerfstudio
+from devrf.capture.formats.parts.assembly import (
     Pictures,
     box_around,
     check_sizes,
@@ -18,16 +22,12 @@ from devrf.capture.formats.assembly import (
     hold_out,
     is_plain,
 )
-from devrf.capture.formats.blender import read_blender
-from devrf.capture.formats.colmap import read_colmap, write_colmap
-from devrf.capture.formats.devrf import read_devrf
-from devrf.capture.formats.export import Export, write_export
-from devrf.capture.formats.files import read_header
-from devrf.capture.formats.llff import read_llff
-from devrf.capture.formats.nerfstudio import read_nerfstudio, write_nerfstudio
-from devrf.capture.formats.scene_files import with_scene_entry
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.formats.parts.export import Export, write_export
+from devrf.capture.formats.parts.files import read_header
+from devrf.capture.formats.parts.scene_files import with_scene_entry
 from devrf.capture.scene import Background, Scene
+from devrf.capture.system.errors import CaptureError
+from devrf.capture.system.progress import Progress, no_progress
 
 DatasetFormat = Literal["devrf", "blender", "nerfstudio", "llff", "colmap"]
 READERS: dict[DatasetFormat, Callable[[Path, list[str]], Pictures]] = {

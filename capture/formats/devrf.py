@@ -8,12 +8,12 @@ The forward-facing layout of the same name is in `devrf_forward.py`; what is the
 import re
 from pathlib import Path
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import Pictures
 from devrf.capture.formats.blender import at_rest, own_entry, read_split
 from devrf.capture.formats.devrf_forward import read_devrf_forward
-from devrf.capture.formats.flow_files import flow_name, with_flow_files
+from devrf.capture.formats.parts.assembly import Pictures
+from devrf.capture.formats.parts.flow_files import flow_name, with_flow_files
 from devrf.capture.scene import PosedFrame
+from devrf.capture.system.errors import CaptureError
 
 
 def read_devrf(folder: Path, notes: list[str]) -> Pictures:

@@ -13,10 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import Pictures, forward_frame
-from devrf.capture.formats.files import Header, read_header
-from devrf.capture.formats.flow_files import flow_name, with_flow_files
 from devrf.capture.formats.llff import (
     FACTORS,
     check_bounds,
@@ -26,8 +22,12 @@ from devrf.capture.formats.llff import (
     pinhole,
     read_rows,
 )
-from devrf.capture.formats.opengl import FLIP_YZ
+from devrf.capture.formats.parts.assembly import Pictures, forward_frame
+from devrf.capture.formats.parts.files import Header, read_header
+from devrf.capture.formats.parts.flow_files import flow_name, with_flow_files
+from devrf.capture.formats.parts.opengl import FLIP_YZ
 from devrf.capture.scene import PosedFrame
+from devrf.capture.system.errors import CaptureError
 
 LARGEST_MISS = 0.1  # between a fixed camera's two poses; the nearest content is at 4/3
 LARGEST_TURN_DEG = 10.0

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from devrf.capture.arrays import ArrayError, read_npy
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import Pictures
-from devrf.capture.formats.files import Header, read_header
-from devrf.capture.formats.listed import TEST_LIST, pictures_of_list, read_names
-from devrf.capture.formats.opengl import cam_from_opengl
-from devrf.capture.formats.row_order import order_that_fits
-from devrf.capture.picture_files import PICTURE_SUFFIXES, natural_key
+from devrf.capture.formats.parts.assembly import Pictures
+from devrf.capture.formats.parts.files import Header, read_header
+from devrf.capture.formats.parts.listed import TEST_LIST, pictures_of_list, read_names
+from devrf.capture.formats.parts.opengl import cam_from_opengl
+from devrf.capture.formats.parts.row_order import order_that_fits
+from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame
+from devrf.capture.system.arrays import ArrayError, read_npy
+from devrf.capture.system.errors import CaptureError
 
 FACTORS = ("", "_2", "_4", "_8")  # endings of folders with smaller copies, the largest first
 

@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from devrf.capture.camera import LensModel
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.assembly import Pictures
-from devrf.capture.formats.export import Export, copied
-from devrf.capture.formats.files import frames_of, read_json, with_slashes, write_json
-from devrf.capture.formats.ply import write_ply
-from devrf.capture.formats.point_colours import point_colours
-from devrf.capture.formats.scene_files import OWN_KEY, scene_entry
-from devrf.capture.formats.transforms import frame_entry, read_transforms, split_of, test_pictures
+from devrf.capture.formats.geometry.ply import write_ply
+from devrf.capture.formats.parts.assembly import Pictures
+from devrf.capture.formats.parts.export import Export, copied
+from devrf.capture.formats.parts.files import frames_of, read_json, with_slashes, write_json
+from devrf.capture.formats.parts.point_colours import point_colours
+from devrf.capture.formats.parts.scene_files import OWN_KEY, scene_entry
+from devrf.capture.formats.parts.transforms import frame_entry, read_transforms, split_of, test_pictures
 from devrf.capture.scene import PosedFrame
+from devrf.capture.system.errors import CaptureError
 
 POINTS = "sparse_pc.ply"  # as nerfstudio's own converter names it
 PLY_HEADER_BYTES = 4096  # the count of points is in its first lines

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.mattes.tidy import tidy
-from devrf.capture.picture_files import read_pixels
-from devrf.capture.spread import spread
+from devrf.capture.photos.picture_files import read_pixels
+from devrf.capture.system.errors import CaptureError, InputError
+from devrf.capture.system.spread import spread
 
 PICTURES = 12  # looked at for the key colour
 SIDE_PX = 200

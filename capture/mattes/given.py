@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.frames import some
-from devrf.capture.picture_files import PICTURE_SUFFIXES, read_pixels
-from devrf.capture.spread import spread
+from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, read_pixels
+from devrf.capture.system.errors import CaptureError, InputError
+from devrf.capture.system.spread import spread
 
 SAME_SHAPE = 0.01  # relative difference of the sides' ratio: the same picture at another size
 LOOKED_AT = 12  # mattes of a camera, for whether white and black are swapped

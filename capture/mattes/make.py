@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from devrf.capture.cores import usable_cores
 from devrf.capture.mattes.chroma import chroma_matte, find_key, is_screen_hue
 from devrf.capture.mattes.given import find_mattes, is_inverted, read_given
-from devrf.capture.mattes.measure import MatteFacts, measure
-from devrf.capture.picture_files import read_pixels, write_png
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.mattes.matte_facts import MatteFacts, measure
+from devrf.capture.photos.picture_files import read_pixels, write_png
+from devrf.capture.system.cores import usable_cores
+from devrf.capture.system.progress import Progress, no_progress
 
 Source = Callable[[int, UInt8[np.ndarray, "h w c"]], UInt8[np.ndarray, "h w"]]
 

@@ -114,7 +114,7 @@ def default_of(key: str, field: dict[str, Any], is_section: bool) -> str:
 
 def presets() -> dict[str, list[str]]:
     """Key -> what the presets have where it is not given, in their order."""
-    from devrf.pipelines.stages.scene import MAX_PIXELS
+    from devrf.pipelines.stages.scene.scene_stage import MAX_PIXELS
     from devrf.reconstruct.options import PRESETS
 
     found: dict[str, list[str]] = {}

@@ -16,8 +16,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from devrf.capture.audio import read_sound
-from devrf.capture.video import VideoReader
+from devrf.capture.video.audio import read_sound
+from devrf.capture.video.reader import VideoReader
 from devrf.lab.simulate.session.damage import blurred, relit
 
 DOCS = Path(__file__).resolve().parents[1]

@@ -9,9 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from devrf.capture.errors import InputError
-from devrf.capture.writable import check_file, check_folder
-from devrf.pipelines.cli_options import (
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.writable import check_file, check_folder
+from devrf.pipelines.inputs.device import resolve_device
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
+from devrf.pipelines.stages import STAGES
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.shared_options import (
     DeviceOption,
     PresetOption,
     QuietOption,
@@ -21,11 +26,6 @@ from devrf.pipelines.cli_options import (
     errors_told,
     talk_of,
 )
-from devrf.pipelines.console import Talk
-from devrf.pipelines.device import resolve_device
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
-from devrf.pipelines.stages import STAGES
 
 if TYPE_CHECKING:
     from devrf.lab.bench.training.trainings import Bench

@@ -5,7 +5,7 @@ from typing import Annotated, get_args
 
 import typer
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.lab.bench.accuracy.accuracy_commands import add_accuracy
 from devrf.lab.bench.arguments import (
     Asked,
@@ -16,7 +16,7 @@ from devrf.lab.bench.arguments import (
     of_a_scene,
 )
 from devrf.lab.bench.training.ablation_variants import VARIANTS
-from devrf.pipelines.cli_options import configured
+from devrf.pipelines.terminal.shared_options import configured
 from devrf.reconstruct.options import PresetName
 
 bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, rich_markup_mode=None)

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from devrf.pipelines.console import Talk
-from devrf.pipelines.tables import print_table
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.tables import print_table
 
 VERDICTS = {None: "", True: "yes", False: "no"}
 

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 
 from devrf.pipelines.batch.task import Ended, Task, run_task
-from devrf.pipelines.exit_codes import STOPPED
+from devrf.pipelines.terminal.exit_codes import STOPPED
 
 
 class LocalPool:

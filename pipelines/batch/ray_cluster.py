@@ -12,12 +12,12 @@ from collections.abc import Callable
 from typing import Any
 
 import devrf
-from devrf.capture.cores import usable_cores
-from devrf.capture.errors import InputError
+from devrf.capture.system.cores import usable_cores
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.batch.task import Ended, Task, node_name, run_task
 from devrf.pipelines.budget.memory import GB
-from devrf.pipelines.exit_codes import BAD_INPUT, FAILED, STOPPED
-from devrf.pipelines.runner.signals import handled
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT, FAILED, STOPPED
+from devrf.pipelines.terminal.signals import handled
 
 # what makes Ray listen on 127.0.0.1 alone, on Linux too
 LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}

@@ -6,14 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.writable import check_folder
-from devrf.pipelines.cli_options import configured
-from devrf.pipelines.console import Talk
-from devrf.pipelines.preflight import check_inputs
-from devrf.pipelines.runner.plan import Choice, Standing
-from devrf.pipelines.runner.run import Run, check_choice
+from devrf.capture.system.errors import DevrfError, InputError
+from devrf.capture.system.writable import check_folder
+from devrf.pipelines.runner.run_state import Run, check_choice
+from devrf.pipelines.runner.standing import Choice, Standing
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages.preflight import check_inputs
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.shared_options import configured
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.processes import run_module
-from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, code_of
-from devrf.pipelines.runner.lock import Lock
-from devrf.pipelines.runner.plan import error_path, last_error
+from devrf.capture.system.errors import DevrfError, InputError
+from devrf.capture.system.processes import run_module
+from devrf.pipelines.run_folder.lock import Lock
+from devrf.pipelines.run_folder.outcomes import error_path, last_error
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED, STOPPED, code_of
 
 POLL_S = 0.1  # between two looks at whether to stop
 GRACE_S = 60.0  # from TERM to KILL; longer than a run's own processes get from it

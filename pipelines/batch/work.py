@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
-from devrf.pipelines.batch.board import Board
 from devrf.pipelines.batch.local import LocalPool
+from devrf.pipelines.batch.progress_table import Board
 from devrf.pipelines.batch.ray_cluster import RayCluster
-from devrf.pipelines.batch.rows import SceneRow
+from devrf.pipelines.batch.scene_rows import SceneRow
 from devrf.pipelines.batch.scenes import BatchScene, Options
 from devrf.pipelines.batch.task import Ended, Task
-from devrf.pipelines.exit_codes import FAILED
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.terminal.exit_codes import FAILED
 
 TICK_S = 0.5  # between two looks at what runs
 ATTEMPTS = 4  # of one task, three of them anew: whatever takes down so many nodes is the task

@@ -1,8 +1,8 @@
 """Bytes by the size of pictures: how many of them a stage works on at once, to keep within the memory that is allowed.
 
 Memory is that of the whole process, with the libraries and the processes it starts. Each rate was measured with what
-takes the memory in a process of its own (docs/budgets.md); those of training are in `reconstruct/footprint.py`. Where
-not even one picture fits, one is tried: the memory of the run is watched, whatever is expected here.
+takes the memory in a process of its own (docs/budgets.md); those of training are in `reconstruct/adapt/footprint.py`.
+Where not even one picture fits, one is tried: the memory of the run is watched, whatever is expected here.
 """
 
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from devrf.calibration.sweep.static_poses import FINE_OCTAVE_BELOW, MAX_IMAGE_SIZE
-from devrf.capture.cores import usable_cores
+from devrf.capture.system.cores import usable_cores
 from devrf.pipelines.stage import StageContext
 
 if TYPE_CHECKING:  # at run time they bring OpenCV, which a data set with its own flow does not need
@@ -40,9 +40,9 @@ SIDES_PX = (MAX_IMAGE_SIZE, 960, 720, 540)
 
 def ingested_at_once(context: StageContext, session: "CaptureSession") -> int:
     """Pictures in memory at once, of whatever raw file they are."""
-    from devrf.capture.photo_folders import list_pictures
-    from devrf.capture.raw import is_raw
-    from devrf.capture.video import probe_video
+    from devrf.capture.photos.photo_folders import list_pictures
+    from devrf.capture.photos.raw import is_raw
+    from devrf.capture.video.reader import probe_video
 
     held, each, sound_s = [0], [0], 0.0
     heard = {*session.cameras.values(), *session.joint_clips.values()}
@@ -62,8 +62,8 @@ def ingested_at_once(context: StageContext, session: "CaptureSession") -> int:
 
 def photo_bytes(path: Path) -> int:
     """What a photo takes while it is read and measured, or developed, by its header."""
-    from devrf.capture.pictures import probe_picture
-    from devrf.capture.raw import is_raw
+    from devrf.capture.photos.raw import is_raw
+    from devrf.capture.photos.upright_pictures import probe_picture
 
     photo = probe_picture(path)
     return (RAW if is_raw(path) else PHOTO) * photo.width * photo.height

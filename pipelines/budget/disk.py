@@ -10,10 +10,10 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from devrf.capture.amounts import GB, size_text
-from devrf.capture.errors import DevrfError
-from devrf.pipelines.runner.signals import handled
-from devrf.pipelines.runner.workspace import nearest, size_of
+from devrf.capture.system.amounts import GB, size_text
+from devrf.capture.system.errors import DevrfError
+from devrf.pipelines.run_folder.workspace import nearest, size_of
+from devrf.pipelines.terminal.signals import handled
 
 if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig

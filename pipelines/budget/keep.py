@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from devrf.capture.amounts import GB
+from devrf.capture.system.amounts import GB
 from devrf.pipelines.budget.disk import check_room
 from devrf.pipelines.budget.memory import allowed_bytes
 from devrf.pipelines.stage import Allowance

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from devrf.capture.amounts import GB, size_text
-from devrf.capture.processes import descendants, memory_of
+from devrf.capture.system.amounts import GB, size_text
+from devrf.capture.system.processes import descendants, memory_of
 
 if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig

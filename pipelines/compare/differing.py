@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
-from devrf.pipelines.compare.runs import ComparedRun
-from devrf.pipelines.report.run import at
+from devrf.pipelines.compare.compared_runs import ComparedRun
+from devrf.pipelines.report.run_reader import at
 
 ABSENT = "–"  # a key that this run's version does not know
 

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from devrf.pipelines.compare.runs import ComparedRun, common_views
-from devrf.pipelines.report.run import at, is_number
-from devrf.reconstruct.paired import Gain, gain_over_time, paired_gain
+from devrf.pipelines.compare.compared_runs import ComparedRun, common_views
+from devrf.pipelines.report.run_reader import at, is_number
+from devrf.reconstruct.evaluation.paired import Gain, gain_over_time, paired_gain
 
 SEED = "reconstruct.seed"
 

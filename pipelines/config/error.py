@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 
 class ConfigError(InputError):

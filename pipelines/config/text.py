@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from devrf.capture.limits import is_device
+from devrf.capture.system.limits import is_device
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.words import near_file
 

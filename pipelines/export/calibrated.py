@@ -3,9 +3,9 @@
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.rig import read_rig
 from devrf.capture.formats import write_dataset
-from devrf.capture.formats.export import README
+from devrf.capture.formats.parts.export import README
 from devrf.pipelines.export.request import Request
-from devrf.pipelines.trained_scene import trained_scene
+from devrf.pipelines.run_folder.trained_model import trained_scene
 
 TEXT = """Cameras of a devrf rig.
 

@@ -2,7 +2,8 @@
 
 from devrf.calibration.formats import RIG_WRITERS
 from devrf.capture.formats import WRITERS
-from devrf.pipelines.export import calibrated, mesh, player, ply, splats
+from devrf.pipelines.export import calibrated, mesh, player, ply
+from devrf.pipelines.export import splat_options as splats
 from devrf.pipelines.export.request import Format
 
 SHAPES = ("times", "device")  # what geometry of the model takes

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from devrf.capture.errors import InputError, ReconstructError
-from devrf.capture.formats import gltf
-from devrf.capture.progress import Progress
-from devrf.capture.spread import spread
+from devrf.capture.formats.geometry import gltf
+from devrf.capture.system.errors import InputError, ReconstructError
+from devrf.capture.system.progress import Progress
+from devrf.capture.system.spread import spread
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import KEYS
 from devrf.pipelines.export.trained import Trained, bounds_of
@@ -16,9 +16,9 @@ from devrf.pipelines.export.trained import Trained, bounds_of
 if TYPE_CHECKING:  # it needs torch
     from torch import Tensor
 
+    from devrf.reconstruct.fields.movers import Movers
     from devrf.reconstruct.geometry.seen import SeenView
-    from devrf.reconstruct.model import DynamicModel
-    from devrf.reconstruct.movers import Movers
+    from devrf.reconstruct.rendering.model import DynamicModel
 
 STANDS = "what stands"
 COMPARED = 5  # moments at which meshes that move are held against the surface then
@@ -88,7 +88,7 @@ class _Made:
 def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: Progress) -> _Made:
     """All in one, whose shape changes."""
     from devrf.reconstruct.geometry.field import field_at
-    from devrf.reconstruct.geometry.surface import apart, coloured, moved, surface_of
+    from devrf.reconstruct.geometry.mesh_surface import apart, coloured, moved, surface_of
 
     moments = trained.moments if model.motion is not None else []
     at_rest = field_at(model, trained.moments[0].time).at_rest()
@@ -116,7 +116,7 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
     import torch
 
     from devrf.reconstruct.geometry.field import Field, field_at
-    from devrf.reconstruct.geometry.surface import apart, coloured, surface_of
+    from devrf.reconstruct.geometry.mesh_surface import apart, coloured, surface_of
 
     assert model.movers is not None and model.in_motion is not None
     movers, views = model.movers, _views(trained, model, progress)
@@ -191,7 +191,7 @@ def _made(level: float) -> str:
 
 
 def _level(request: Request) -> float:
-    from devrf.reconstruct.geometry.surface import LEVEL
+    from devrf.reconstruct.geometry.mesh_surface import LEVEL
 
     level = LEVEL if request.options.level is None else request.options.level
     if not 0 < level < 1:
@@ -202,8 +202,8 @@ def _level(request: Request) -> float:
 
 def _views(trained: Trained, model: "DynamicModel", progress: Progress) -> "list[SeenView]":
     """What training poses see of the scene at rest, in the colours that it has in motion."""
+    from devrf.reconstruct.geometry.mesh_surface import resting
     from devrf.reconstruct.geometry.seen import look, poses
-    from devrf.reconstruct.geometry.surface import resting
 
     still, cameras, views = resting(model), poses(trained.boxed), []
     for n, camera in enumerate(cameras):

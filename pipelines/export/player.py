@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.progress import part
-from devrf.pipelines.export import splats as shared
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import part
+from devrf.pipelines.export import splat_options as shared
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import Trained
 from devrf.pipelines.player.page import page_size, player_page
-from devrf.reconstruct.film.paths import orbit
-from devrf.reconstruct.film.span import Span, film_cameras, film_lens, fixed_cameras
+from devrf.reconstruct.geometry.camera_arc import Span, film_cameras, film_lens, fixed_cameras
+from devrf.reconstruct.geometry.paths import orbit
 
 if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.splats.make import Splats

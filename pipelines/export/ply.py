@@ -6,8 +6,8 @@ the surface, the depth of a view in its middle.
 
 from typing import Any
 
-from devrf.capture.errors import ReconstructError
-from devrf.capture.formats.ply import write_ply
+from devrf.capture.formats.geometry.ply import write_ply
+from devrf.capture.system.errors import ReconstructError
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.trained import AXES, Trained, entry_of
 

@@ -5,10 +5,10 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.export import new_folder
-from devrf.pipelines.console import Talk
-from devrf.pipelines.disk_told import disk_told
+from devrf.capture.formats.parts.export import new_folder
+from devrf.capture.system.errors import CaptureError
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.disk_errors import disk_told
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devrf.capture.errors import InputError
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import InputError
 from devrf.reconstruct.film.times import parse_time
 
 MOST = 10_000  # files in one folder

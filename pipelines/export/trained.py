@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.bounds import upright
-from devrf.capture.errors import InputError
+from devrf.calibration.extent.bounds import upright
 from devrf.capture.formats import read_scene
-from devrf.capture.formats.export import README
-from devrf.pipelines.device import resolve_device
+from devrf.capture.formats.parts.export import README
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.export import times
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import Moment
+from devrf.pipelines.inputs.device import resolve_device
 from devrf.pipelines.stamps.stamp import STAMP
-from devrf.reconstruct.pictures import training
+from devrf.reconstruct.sampling.pictures import training
 
 if TYPE_CHECKING:  # it needs torch
-    from devrf.reconstruct.model import DynamicModel
+    from devrf.reconstruct.rendering.model import DynamicModel
 
 FACTS = "export.json"
 AXES = (
@@ -65,7 +65,7 @@ class Trained:
             raise InputError("option-misplaced", text)
         if not moved and self.scene.dynamic:
             request.notes.append("the motion is not trained yet: this is the scene at rest alone")
-        from devrf.reconstruct.model_io import load_model
+        from devrf.reconstruct.storage.model_io import load_model
 
         device = resolve_device(request.options.device or "auto")
         self.model: DynamicModel = load_model(request.run_dir, device)

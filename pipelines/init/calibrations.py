@@ -5,9 +5,9 @@ from pathlib import Path
 
 from devrf.calibration.formats import find_calibration
 from devrf.calibration.rigs.given import read_given
-from devrf.capture.errors import DevrfError
+from devrf.capture.system.errors import DevrfError
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.init.found import Roles
+from devrf.pipelines.init.material import Roles
 
 SUFFIXES = frozenset((".toml", ".yml", ".yaml", ".xml", ".txt", ".json"))
 NOT_OURS = frozenset(("scene.yaml", "ground_truth.json"))  # a truth is for comparing, never for calibrating

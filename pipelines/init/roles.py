@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from devrf.calibration.boards.guess import BoardGuess, Grey, board_pictures, guess_board
-from devrf.calibration.field.steady import steadiness
+from devrf.calibration.preview.stability import steadiness
+from devrf.capture.ingest.survey import Look
 from devrf.capture.measure import Measure
-from devrf.capture.survey import Look
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.init.boards import BOARD_SHARE, give_boards, is_board_clip
-from devrf.pipelines.init.found import Roles, Seen
+from devrf.pipelines.init.board_roles import BOARD_SHARE, give_boards, is_board_clip
+from devrf.pipelines.init.material import Roles, Seen
 from devrf.pipelines.init.names import camera_name, photos
 
 FEWEST_PHOTOS = 8  # of a sweep that nobody calls one

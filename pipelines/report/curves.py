@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import Any
 
-from devrf.pipelines.report.charts import COLOURS, Chart, Series, line_chart
-from devrf.pipelines.report.run import RunFolder, as_float, is_number
+from devrf.pipelines.report.run_reader import RunFolder, as_float, is_number
+from devrf.pipelines.report.svg_charts import COLOURS, Chart, Series, line_chart
 
 LABELS = ("iteration", "seconds", "psnr", "samples", "level", "key", "time")  # of a row; the rest are losses
 LOSSES = {

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from devrf.capture.errors import DevrfError
-from devrf.capture.formats.colmap_model import read_points
-from devrf.pipelines.report.charts import LINES, MUTED, Chart, draw
-from devrf.pipelines.report.run import RunFolder, is_number
+from devrf.capture.formats.colmap.colmap_model import read_points
+from devrf.capture.system.errors import DevrfError
+from devrf.pipelines.report.run_reader import RunFolder, is_number
+from devrf.pipelines.report.svg_charts import LINES, MUTED, Chart, draw
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,8 +10,8 @@ from typing import Any
 
 from jinja2 import ChainableUndefined, Environment, FileSystemLoader
 
-from devrf.pipelines.console import duration
-from devrf.pipelines.report.run import is_number
+from devrf.pipelines.report.run_reader import is_number
+from devrf.pipelines.terminal.console import duration
 
 FOLDER = Path(__file__).parent
 MADE_BY = '<meta name="generator" content="devrf">'  # in the head of every page: what tells it from others

@@ -9,28 +9,23 @@ from functools import partial
 from pathlib import Path
 
 import devrf
-from devrf.capture.amounts import GB
-from devrf.capture.errors import DevrfError, OutOfTime
+from devrf.capture.system.amounts import GB
+from devrf.capture.system.errors import DevrfError, OutOfTime
 from devrf.pipelines.budget.disk import watched
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
-from devrf.pipelines.console import duration
-from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
-from devrf.pipelines.logs import Events, log_file
+from devrf.pipelines.run_folder.outcomes import error_path, forced_path, remember_error, remember_forced
+from devrf.pipelines.run_folder.workspace import Workspace, free_bytes, size_of
 from devrf.pipelines.runner.failure import explain
 from devrf.pipelines.runner.finish import finish
-from devrf.pipelines.runner.plan import (
-    Standing,
-    error_path,
-    forced_path,
-    remember_error,
-    remember_forced,
-)
-from devrf.pipelines.runner.run import Run, check_reads, skip_line
-from devrf.pipelines.runner.signals import stopped_by_signals
+from devrf.pipelines.runner.run_state import Run, check_reads, skip_line
+from devrf.pipelines.runner.standing import Standing
 from devrf.pipelines.runner.supervise import crash_log, tell
-from devrf.pipelines.runner.workspace import Workspace, free_bytes, size_of
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamps.stamp import read_stamp
+from devrf.pipelines.terminal.console import duration
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
+from devrf.pipelines.terminal.logs import Events, log_file
+from devrf.pipelines.terminal.signals import stopped_by_signals
 
 logger = logging.getLogger(__name__)
 

@@ -4,13 +4,13 @@ import errno
 import logging
 import traceback
 
-from devrf.capture.errors import DevrfError, HealthError, OutOfTime
-from devrf.pipelines.disk_told import refused_by_system
-from devrf.pipelines.exit_codes import FAILED, UNHEALTHY
-from devrf.pipelines.logs import LOG_FILE
-from devrf.pipelines.runner.run import Run
-from devrf.pipelines.runner.workspace import disk_full_message, is_disk_full
+from devrf.capture.system.errors import DevrfError, HealthError, OutOfTime
+from devrf.pipelines.run_folder.workspace import disk_full_message, is_disk_full
+from devrf.pipelines.runner.run_state import Run
 from devrf.pipelines.stage import Stage
+from devrf.pipelines.terminal.disk_errors import refused_by_system
+from devrf.pipelines.terminal.exit_codes import FAILED, UNHEALTHY
+from devrf.pipelines.terminal.logs import LOG_FILE
 
 NO_ROOM = 1_000_000  # bytes: with less than this free, a failure to write is a full disk whatever it says
 NO_MEMORY = (

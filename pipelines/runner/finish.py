@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 
 import devrf
-from devrf.capture.amounts import GB
-from devrf.capture.durable import write_json
-from devrf.pipelines.runner.run import Run
+from devrf.capture.system.amounts import GB
+from devrf.capture.system.durable import write_json
+from devrf.pipelines.runner.run_state import Run
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamps.stamp import HEALTH, STAMP, code_of_stage, content_of, files_of
 

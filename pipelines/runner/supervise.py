@@ -18,15 +18,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from devrf.capture.amounts import GB
-from devrf.capture.errors import DevrfError
-from devrf.capture.processes import adopt_orphans, descendants, die_with_parent, memory_of
+from devrf.capture.system.amounts import GB
+from devrf.capture.system.errors import DevrfError
+from devrf.capture.system.processes import adopt_orphans, descendants, die_with_parent, memory_of
 from devrf.pipelines.budget.memory import left_bytes
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import FAILED, STOPPED
-from devrf.pipelines.logs import LOG_FILE, Events, log_file
-from devrf.pipelines.runner.plan import remember_error
-from devrf.pipelines.runner.workspace import Workspace
+from devrf.pipelines.run_folder.outcomes import remember_error
+from devrf.pipelines.run_folder.workspace import Workspace
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import FAILED, STOPPED
+from devrf.pipelines.terminal.logs import LOG_FILE, Events, log_file
 
 # between a signal that is passed on and SIGKILL; the worker of structure from motion takes 5 s
 GRACE_S = 15.0

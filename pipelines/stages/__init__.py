@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig
 
 
-def _glue(name: str) -> Callable[[StageContext], None]:
-    """`run` of devrf.pipelines.stages.<name>, imported at the first call."""
+def _glue(module: str) -> Callable[[StageContext], None]:
+    """`run` of devrf.pipelines.stages.<module>, imported at the first call."""
 
     def run(context: StageContext) -> None:
-        import_module(f"{__name__}.{name}").run(context)
+        import_module(f"{__name__}.{module}").run(context)
 
     return run
 
@@ -136,7 +136,7 @@ STAGES = (
             "evaluate.holdout_every",
         ),
         applies=_unless(dataset=NO_RAW_FILES, sweep=NO_CAMERAS),
-        run=_glue("rig"),
+        run=_glue("rig.rig_stage"),
         rooms=CAMERAS,
         inputs=_beside_given,
     ),
@@ -165,7 +165,7 @@ STAGES = (
             "evaluate.holdout_every",
         ),
         applies=_unless(),
-        run=_glue("scene"),
+        run=_glue("scene.scene_stage"),
         rooms=(*CAMERAS, "reconstruct"),
         refers=True,
         places=_data_set,

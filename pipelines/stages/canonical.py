@@ -3,18 +3,18 @@
 from dataclasses import asdict
 from typing import Any
 
-from devrf.capture.durable import write_json
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.measure import Measure
-from devrf.pipelines.health.at_rest import at_rest_measures
-from devrf.pipelines.health.training import restart_measures
+from devrf.capture.system.durable import write_json
+from devrf.pipelines.budget.training_memory import TrainingMemory, fit_to_memory
+from devrf.pipelines.health.at_rest_rows import at_rest_measures
+from devrf.pipelines.health.training_rows import restart_measures
+from devrf.pipelines.inputs.training_options import training_options
+from devrf.pipelines.run_folder.training_checkpoint import training_checkpoint
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.training_checkpoint import training_checkpoint
-from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
-from devrf.pipelines.training_options import training_options
-from devrf.reconstruct.check_rest import check_rest
-from devrf.reconstruct.model_io import FILE, save_rest
-from devrf.reconstruct.train_canonical import train_canonical
+from devrf.reconstruct.evaluation.check_rest import check_rest
+from devrf.reconstruct.storage.model_io import FILE, save_rest
+from devrf.reconstruct.training.train_canonical import train_canonical
 
 
 def run(context: StageContext) -> None:

@@ -7,20 +7,20 @@ import numpy as np
 from jaxtyping import UInt8
 
 from devrf.calibration.colour.camera_points import camera_pairs
+from devrf.calibration.colour.colours import CameraColour, Colours
+from devrf.calibration.colour.flicker import steady_gains
 from devrf.calibration.colour.match import Apart, Matched, match_cameras
-from devrf.calibration.colour.result import CameraColour, Colours
 from devrf.calibration.colour.surface import Pairs, View
 from devrf.calibration.colour.sweep_points import sweep_pairs
-from devrf.calibration.flicker import steady_gains
 from devrf.calibration.rigs.clean_picture import REST_MOMENTS, rest_frames
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
+from devrf.capture.colour.correction import Look, as_matrix
+from devrf.capture.colour.light_course import LightCourse
 from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
-from devrf.capture.light import LightCourse
-from devrf.capture.look import Look, as_matrix
-from devrf.capture.picture_files import read_pixels
-from devrf.pipelines.clocks import read_clocks
-from devrf.pipelines.health.colour import colour_measures
+from devrf.capture.photos.picture_files import read_pixels
+from devrf.pipelines.health.colour_rows import colour_measures
+from devrf.pipelines.run_folder.clocks import read_clocks
 from devrf.pipelines.stage import StageContext
 
 # at which cameras are compared without a sweep: the subject shows several sides, in a minute's work

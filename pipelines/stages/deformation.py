@@ -6,31 +6,31 @@ from functools import partial
 from typing import Any
 
 from devrf.calibration.clocks.equations import Clock
-from devrf.capture.durable import write_json
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
+from devrf.capture.system.durable import write_json
 from devrf.flow.store import read_flows
-from devrf.pipelines.clocks import clock_dict, clocks_in_use
-from devrf.pipelines.flow_clips import flow_estimator
-from devrf.pipelines.health.training import (
+from devrf.pipelines.budget.training_memory import TrainingMemory, fit_to_memory
+from devrf.pipelines.health.training_rows import (
     contradicted_measures,
     in_motion_measures,
     moved_clock_measures,
     mover_measures,
     restart_measures,
 )
+from devrf.pipelines.inputs.flow_clips import flow_estimator
+from devrf.pipelines.inputs.training_options import training_options
+from devrf.pipelines.run_folder.clocks import clock_dict, clocks_in_use
+from devrf.pipelines.run_folder.training_checkpoint import training_checkpoint
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.training_checkpoint import training_checkpoint
-from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
-from devrf.pipelines.training_options import training_options
-from devrf.reconstruct.as_trained import as_trained
-from devrf.reconstruct.check_motion import check_motion
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.model_io import FILE, load_rest, save_deformation
-from devrf.reconstruct.sizing import levels_for
-from devrf.reconstruct.train_deformation import train_deformation
-from devrf.reconstruct.view_offsets import ViewOffset, view_offset
+from devrf.reconstruct.adapt.sizing import levels_for
+from devrf.reconstruct.evaluation.check_motion import check_motion
+from devrf.reconstruct.rendering.model import DynamicModel
+from devrf.reconstruct.sampling.retimed import as_trained
+from devrf.reconstruct.storage.model_io import FILE, load_rest, save_deformation
+from devrf.reconstruct.training.test_clocks import ViewOffset, view_offset
+from devrf.reconstruct.training.train_deformation import train_deformation
 
 KNOWN_MS = 5.0  # standard deviation of a clock that is good to measure by: those by sound are better
 FIELD = "motion is a field: clocks are found on models of parts only"

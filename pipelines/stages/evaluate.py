@@ -12,18 +12,18 @@ import numpy as np
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.truth import Truth, compare_cameras, compare_clocks, read_masks, read_truth
-from devrf.capture.durable import read_object, write_json
 from devrf.capture.measure import Measure
 from devrf.capture.scene import Scene
-from devrf.pipelines.clocks import clocks_in_use
+from devrf.capture.system.durable import read_object, write_json
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.left_out import NO_PICTURE
+from devrf.pipelines.run_folder.clocks import clocks_in_use
+from devrf.pipelines.run_folder.trained_model import trained_scene
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.trained_scene import trained_scene
-from devrf.reconstruct.confidence import subject_seen
-from devrf.reconstruct.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
-from devrf.reconstruct.model import render_view
-from devrf.reconstruct.model_io import load_model
+from devrf.reconstruct.evaluation.confidence import subject_seen
+from devrf.reconstruct.evaluation.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
+from devrf.reconstruct.rendering.model import render_view
+from devrf.reconstruct.storage.model_io import load_model
 
 PACKAGES = ("devrf", "numpy", "torch", "warp-lang", "opencv-contrib-python-headless", "pycolmap")
 TRAINED = ("canonical", "deformation")  # stages that hold models, which are what a viewer needs

@@ -12,19 +12,19 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.durable import write_json
-from devrf.capture.formats.flow_files import Flow, read_flow_file
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.flow_files import Flow, read_flow_file
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.measure import noted
-from devrf.capture.progress import part
 from devrf.capture.scene import PosedFrame, load_image
+from devrf.capture.system.durable import write_json
+from devrf.capture.system.progress import part
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import clip_flow, gaps_of
 from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
 from devrf.pipelines.budget.at_once import flow_at_once
-from devrf.pipelines.flow_clips import flow_estimator, is_brought, time_of, training_clips
-from devrf.pipelines.health.flow import flow_measures
+from devrf.pipelines.health.flow_rows import flow_measures
+from devrf.pipelines.inputs.flow_clips import flow_estimator, is_brought, time_of, training_clips
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamps.stamp import identity_key
 

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from devrf.calibration.clocks.sync import synchronise
-from devrf.capture.audio import Sound
-from devrf.capture.errors import CaptureError
+from devrf.capture.colour.srgb import linear_from_srgb
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp, some
-from devrf.capture.ingest import write_frames, write_sounds
+from devrf.capture.ingest.ingest import write_frames, write_sounds
 from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.session import CaptureSession
-from devrf.capture.srgb import linear_from_srgb
+from devrf.capture.system.errors import CaptureError
+from devrf.capture.video.audio import Sound
 from devrf.pipelines.budget.at_once import ingested_at_once
-from devrf.pipelines.capture_session import capture_session
 from devrf.pipelines.health.left_out import left_out
-from devrf.pipelines.health.light import light_measures
+from devrf.pipelines.health.light_rows import light_measures
+from devrf.pipelines.inputs.capture_session import capture_session
 from devrf.pipelines.stage import StageContext
 
 RANGE_MARGIN_S = 0.5  # frames kept around capture.range_s in cameras whose clock is only known by sound yet

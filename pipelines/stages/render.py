@@ -2,13 +2,13 @@
 
 import time
 
-from devrf.capture.durable import write_json
-from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.picture_files import write_png
+from devrf.capture.formats.parts.scene_files import read_scene
+from devrf.capture.photos.picture_files import write_png
+from devrf.capture.system.durable import write_json
 from devrf.pipelines.stage import StageContext
-from devrf.reconstruct.film.paths import orbit
-from devrf.reconstruct.film.span import film_cameras, film_lens
 from devrf.reconstruct.film.times import film_times
+from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
+from devrf.reconstruct.geometry.paths import orbit
 
 # preset: pictures, pictures per second, most pixels of a picture
 SIZES = {"tiny": (48, 12.0, 64_000), "fast": (96, 24.0, 500_000), "reference": (192, 24.0, 1_000_000)}
@@ -16,8 +16,8 @@ SIZES = {"tiny": (48, 12.0, 64_000), "fast": (96, 24.0, 500_000), "reference": (
 
 def run(context: StageContext) -> None:
     """Write `orbit.mp4`, `poster.png` and `film.json`."""
-    from devrf.reconstruct.film.make import Film, make_film  # they need torch
-    from devrf.reconstruct.model_io import load_model
+    from devrf.reconstruct.film.film_maker import Film, make_film  # they need torch
+    from devrf.reconstruct.storage.model_io import load_model
 
     scene = read_scene(context.run_dir / "scene").in_box_frame()
     count, fps, pixels = SIZES[context.config.preset]

@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from devrf.capture.durable import whole
 from devrf.capture.measure import Measure
+from devrf.capture.system.durable import whole
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.report.page import build_report
-from devrf.pipelines.report.run import RunFolder
-from devrf.pipelines.runner.plan import last_error
+from devrf.pipelines.report.report_page import build_report
+from devrf.pipelines.report.run_reader import RunFolder
+from devrf.pipelines.run_folder.outcomes import last_error
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
 

@@ -16,15 +16,15 @@ from devrf.calibration.sweep.static_poses import (
 )
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, some
 from devrf.capture.measure import noted
-from devrf.capture.photo_folders import list_pictures
-from devrf.capture.picture_files import open_picture
-from devrf.capture.progress import Progress, no_progress
-from devrf.pipelines.board_clips import files_of
-from devrf.pipelines.board_spec import board_spec, lens_choice
+from devrf.capture.photos.photo_folders import list_pictures
+from devrf.capture.photos.picture_files import open_picture
+from devrf.capture.system.progress import Progress, no_progress
 from devrf.pipelines.budget.at_once import swept_at_once
 from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
-from devrf.pipelines.health.board import board_measures
-from devrf.pipelines.health.sweep import sweep_measures
+from devrf.pipelines.health.board_rows import board_measures
+from devrf.pipelines.health.sweep_rows import sweep_measures
+from devrf.pipelines.inputs.board_clips import files_of
+from devrf.pipelines.inputs.board_spec import board_spec, lens_choice
 from devrf.pipelines.stage import StageContext
 
 

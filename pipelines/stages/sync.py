@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from devrf.calibration.clocks.cues import Extras
 from devrf.calibration.clocks.equations import Clock
-from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
-from devrf.capture.durable import write_json
-from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import CameraFrames, FrameSet
-from devrf.capture.ingest import read_brightness, read_motion, read_sounds
+from devrf.capture.ingest.ingest import read_brightness, read_motion, read_sounds
 from devrf.capture.measure import Measure, noted, of_test
-from devrf.capture.recorded import Recorded
 from devrf.capture.rest import Rest
-from devrf.pipelines.clocks import clock_dict, curve_dict
-from devrf.pipelines.health.clock import (
+from devrf.capture.system.durable import write_json
+from devrf.capture.system.errors import CalibrationError
+from devrf.capture.video.recorded import Recorded
+from devrf.pipelines.health.clock_rows import (
     BY_GEOMETRY,
     UNSURE_FRAMES,
     USUAL_FPS,
@@ -29,6 +28,7 @@ from devrf.pipelines.health.clock import (
     frame_ms,
 )
 from devrf.pipelines.health.left_out import left_out
+from devrf.pipelines.run_folder.clocks import clock_dict, curve_dict
 from devrf.pipelines.stage import StageContext
 
 MIN_SHARED_FRAMES = 2

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 SHARED = "pipelines"  # the part of it that all stages share: all but these folders
 APART = (
-    *("batch", "budget", "check", "compare", "config", "export", "film", "init", "player", "report"),
-    *("runner", "stages", "stamps", "viewer"),
+    *("batch", "budget", "check", "cli", "compare", "config", "export", "film", "init", "player", "report"),
+    *("runner", "stages", "stamps", "terminal", "viewer"),
 )
 LIBRARIES = {  # of a room or a part of it -> the distributions that compute something there
     "capture": ("av", "numpy", "opencv-contrib-python-headless", "pillow", "rawpy", "scipy", "simplejpeg"),
@@ -66,13 +66,19 @@ def code_of(stage: str, rooms: Iterable[str], plug_ins: Iterable[str] = ()) -> C
     """
     parts = (*rooms, SHARED)
     files = {part: _digest(part, APART if part == SHARED else ()) for part in parts}
-    module = f"pipelines/stages/{stage}.py"
+    module = module_of(stage)
     files[module] = _digest(module)
     found = [_version(name) for name in sorted({name for part in parts for name in LIBRARIES.get(part, ())})]
     for top in {name.partition(".")[0] for name in plug_ins}:
         files[top] = _of_others(top)
         found.append(_version_of(top))
     return Code(files, dict(version for version in found if version is not None))
+
+
+def module_of(stage: str) -> str:
+    """The file of a stage's own code, or its folder where it has more than one."""
+    module = f"pipelines/stages/{stage}"
+    return module if (_HERE / module).is_dir() else f"{module}.py"
 
 
 def series(version: str) -> str:

@@ -15,9 +15,9 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
-from devrf.capture.durable import read_json, write_json
-from devrf.capture.errors import InputError
-from devrf.pipelines.logs import LOG_FILE
+from devrf.capture.system.durable import read_json, write_json
+from devrf.capture.system.errors import InputError
+from devrf.pipelines.terminal.logs import LOG_FILE
 
 DIGESTS = ".digests.json"  # in the run folder
 DROPPED = re.compile(  # names of files that macOS, Windows, desktops, NFS and editors drop; no stage reads them

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import devrf
-from devrf.capture.durable import parse_json
-from devrf.capture.limits import is_device
+from devrf.capture.system.durable import parse_json
+from devrf.capture.system.limits import is_device
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stamps.code_version import Code, code_of, series
 from devrf.pipelines.stamps.digests import Digests

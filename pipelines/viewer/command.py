@@ -7,12 +7,12 @@ import threading
 from collections.abc import Collection
 from ipaddress import ip_address
 
-from devrf.capture.errors import DevrfError, InputError
-from devrf.pipelines.device import resolve_device
-from devrf.pipelines.exit_codes import STOPPED
-from devrf.pipelines.runner.lock import is_held
-from devrf.pipelines.runner.run import Run
-from devrf.pipelines.runner.signals import stopped_by_signals
+from devrf.capture.system.errors import DevrfError, InputError
+from devrf.pipelines.inputs.device import resolve_device
+from devrf.pipelines.run_folder.lock import is_held
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.terminal.exit_codes import STOPPED
+from devrf.pipelines.terminal.signals import stopped_by_signals
 
 INSTALL = "python -m pip install 'devrf[viewer]'; in a clone: python -m pip install -e '.[viewer]'"
 KINDNESS = 10  # niceness beside a run
@@ -54,7 +54,7 @@ def view(job: Run, device: str, host: str, port: int, names: Collection[str] = (
             "for a password",
             style="yellow",
         )
-    from devrf.pipelines.viewer.site import Site
+    from devrf.pipelines.viewer.server import Site
 
     with stopped_by_signals():
         try:

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 import viser
 
-from devrf.pipelines.viewer.furniture import GROUPS
+from devrf.pipelines.viewer.scene_widgets import GROUPS
 from devrf.pipelines.viewer.source import Loaded
-from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.rendering.model import DynamicModel
 
 EVERYTHING: str = "everything"
 BOX, STANDS, PART = "what is in the box", "what stands", "part"

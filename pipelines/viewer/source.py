@@ -10,16 +10,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from devrf.capture.errors import DevrfError
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.scene import Scene
-from devrf.pipelines.logs import EVENTS_FILE
-from devrf.pipelines.runner.lock import is_held
+from devrf.capture.system.errors import DevrfError
+from devrf.pipelines.run_folder.lock import is_held
+from devrf.pipelines.run_folder.training_checkpoint import checkpoint_path
 from devrf.pipelines.stamps.stamp import read_stamp, stamp_content, stamp_id
-from devrf.pipelines.training_checkpoint import checkpoint_path
+from devrf.pipelines.terminal.logs import EVENTS_FILE
 
 if TYPE_CHECKING:  # they need torch
-    from devrf.reconstruct.model import DynamicModel
+    from devrf.reconstruct.rendering.model import DynamicModel
 
 TAIL_BYTES = 4096  # of events.jsonl: its last lines
 
@@ -110,9 +110,9 @@ def progress(run_dir: Path) -> dict[str, Any]:
 
 
 def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
-    from devrf.reconstruct.model import DynamicModel
-    from devrf.reconstruct.model_io import FILE, load_model, load_rest
-    from devrf.reconstruct.unfinished import motion_in_training, rest_in_training
+    from devrf.reconstruct.rendering.model import DynamicModel
+    from devrf.reconstruct.storage.model_io import FILE, load_model, load_rest
+    from devrf.reconstruct.storage.unfinished import motion_in_training, rest_in_training
 
     if found.rest_training is not None:
         return DynamicModel(rest_in_training(checkpoint_path(run_dir, "canonical"), device))

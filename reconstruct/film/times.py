@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from devrf.capture.errors import InputError
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import InputError
 
 
 def film_times(scene: Scene, count: int) -> list[float | None]:

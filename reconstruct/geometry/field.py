@@ -14,12 +14,12 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 
-from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.grids import vertices
+from devrf.reconstruct.fields.motion import MotionField
+from devrf.reconstruct.fields.movers import Movers, Placed
 from devrf.reconstruct.kernels.trilinear import trilinear
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.movers import Movers, Placed
+from devrf.reconstruct.rendering.model import DynamicModel
 
 AT_ONCE = 1 << 18  # points; each needs about 200 bytes on its way
 

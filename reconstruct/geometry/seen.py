@@ -14,14 +14,14 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
-from devrf.capture.spread import spread
-from devrf.reconstruct.canonical import EMPTY
-from devrf.reconstruct.film.span import fixed_cameras
+from devrf.capture.system.spread import spread
+from devrf.reconstruct.fields.canonical import EMPTY
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.geometry.camera_arc import fixed_cameras
 from devrf.reconstruct.geometry.field import Field
-from devrf.reconstruct.model import DynamicModel, render_layers
-from devrf.reconstruct.pictures import training
-from devrf.reconstruct.rays import pixel_directions
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.rendering.model import DynamicModel, render_layers
+from devrf.reconstruct.rendering.rays import pixel_directions
+from devrf.reconstruct.sampling.pictures import training
 
 SOLID = 0.9  # opacity from which a pixel shows a surface
 GRAZING = 0.15  # cosine to the surface's normal below which its depth is not trusted: 81 degrees

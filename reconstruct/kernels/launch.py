@@ -20,7 +20,7 @@ from typing import Any, no_type_check
 import torch
 import warp as wp
 
-from devrf.capture.cores import usable_cores
+from devrf.capture.system.cores import usable_cores
 
 # of memory that CPU threads scatter into; each is a grid to keep, and to read in every step
 SCATTER_COPIES = 2

@@ -23,9 +23,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from devrf.reconstruct.kernels.launch import ODD, array, box_arguments, launch, use_warp
-from devrf.reconstruct.kernels.march import STOP, RaySegments, Volume, alpha_of, march, nearest
+from devrf.reconstruct.kernels.march import STOP, RaySegments, Volume, alpha_of, intersect, march, nearest
 from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, look_up
-from devrf.reconstruct.rays import intersect
 
 FARTHEST = 1e4  # box units: farther than any sample
 MOST = 256  # samples of a ray that are kept, the nearest: an opaque surface takes about five, rays along one up to 120

@@ -15,12 +15,14 @@ from typing import NamedTuple, no_type_check
 import torch
 import torch.nn.functional as F
 import warp as wp
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from devrf.reconstruct.kernels.launch import array, box_arguments, launch, use_warp
 from devrf.reconstruct.kernels.quad import motion_at_time, quad_ref
 from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, trilinear_ref
+
+PARALLEL = 1e-9  # direction components below this are held to it, so that a slab test divides safely
 
 
 class RaySegments(NamedTuple):
@@ -34,6 +36,19 @@ class RaySegments(NamedTuple):
     t_in: Float[Tensor, " R"]
     t_out: Float[Tensor, " R"]
     jitter: Float[Tensor, " R"]
+
+
+def intersect(
+    rays_o: Float[Tensor, "n 3"], rays_d: Float[Tensor, "n 3"], aabb: Float[Tensor, "2 3"], near: float
+) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"], Bool[Tensor, " n"]]:
+    """Where rays enter and leave a box, not before `near`; both `near` where they miss it (third result false)."""
+    aabb = aabb.to(rays_o)
+    safe = torch.where(rays_d.abs() < PARALLEL, PARALLEL, rays_d)
+    a, b = (aabb[0] - rays_o) / safe, (aabb[1] - rays_o) / safe
+    t_in = torch.minimum(a, b).amax(-1).clamp(min=near)
+    t_out = torch.maximum(a, b).amin(-1)
+    hit = t_out > t_in
+    return torch.where(hit, t_in, near), torch.where(hit, t_out, near), hit
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from devrf.capture.camera import Camera
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.progress import Progress, no_progress
 from devrf.reconstruct.kernels.splat import splat
-from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.rendering.model import DynamicModel
 from devrf.reconstruct.splats.gaussians import Gaussians, flattened, pixel_sizes, tiles_of
 from devrf.reconstruct.splats.looks import Look
 from devrf.reconstruct.splats.moving import Nodes, moved

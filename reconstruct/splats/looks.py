@@ -12,20 +12,20 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from devrf.capture.camera import Camera
-from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene, image_scale_for
-from devrf.capture.spread import spread
-from devrf.reconstruct.film.paths import orbit
-from devrf.reconstruct.film.span import film_cameras, film_lens
+from devrf.capture.system.progress import Progress, no_progress
+from devrf.capture.system.spread import spread
+from devrf.reconstruct.fields.contracted_background import CUBE, Shell
+from devrf.reconstruct.fields.grids import vertices
+from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.geometry import seen
-from devrf.reconstruct.grids import vertices
+from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
+from devrf.reconstruct.geometry.paths import orbit
 from devrf.reconstruct.kernels.background import expand
-from devrf.reconstruct.kernels.march import RaySegments
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.pictures import clips, training
-from devrf.reconstruct.rays import camera_rays, intersect
-from devrf.reconstruct.shell import CUBE, Shell
+from devrf.reconstruct.kernels.march import RaySegments, intersect
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.rendering.rays import camera_rays
+from devrf.reconstruct.sampling.pictures import clips, training
 
 # of a picture, before it is made square: what 400 x 300 shows; a smaller training size stays
 MOST_PIXELS = 120_000

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.capture.progress import Progress, no_progress, part
 from devrf.capture.scene import Scene, plain_colour
-from devrf.reconstruct.model import DynamicModel
+from devrf.capture.system.progress import Progress, no_progress, part
+from devrf.reconstruct.rendering.model import DynamicModel
 from devrf.reconstruct.splats.fit import fit
 from devrf.reconstruct.splats.gaussians import Gaussians
 from devrf.reconstruct.splats.looks import look_around

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from devrf.reconstruct.geometry.field import Field, field_at
-from devrf.reconstruct.model import DynamicModel
+from devrf.reconstruct.rendering.model import DynamicModel
 from devrf.reconstruct.splats.gaussians import Gaussians, product, quats_of, rotations
 
 

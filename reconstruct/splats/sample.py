@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from devrf.capture.errors import ReconstructError
+from devrf.capture.system.errors import ReconstructError
 from devrf.reconstruct.splats.gaussians import Gaussians, quats_of
 from devrf.reconstruct.splats.looks import PlacedLook
 

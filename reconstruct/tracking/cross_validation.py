@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from devrf.reconstruct.paired import Gain, gain_within_clips
+from devrf.reconstruct.evaluation.paired import Gain, gain_within_clips
 
 FEWEST_POINTS = 20  # of a picture that are worth a mean
 

@@ -10,28 +10,28 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from devrf.capture.progress import Progress, no_progress
 from devrf.capture.scene import Scene
+from devrf.capture.system.progress import Progress, no_progress
 from devrf.flow.estimator import FlowEstimator
-from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
-from devrf.reconstruct.grids import vertices
-from devrf.reconstruct.model import DynamicModel, render_layers
-from devrf.reconstruct.movers import Movers
-from devrf.reconstruct.rays import pixel_directions
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.sizing import Decision
-from devrf.reconstruct.still_picture import FEWEST_PICTURES, plate, standing_clips
-from devrf.reconstruct.tracking.film import Film, films
+from devrf.reconstruct.adapt.sizing import Decision
+from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.grids import vertices
+from devrf.reconstruct.fields.movers import Movers
+from devrf.reconstruct.rendering.model import DynamicModel, render_layers
+from devrf.reconstruct.rendering.rays import pixel_directions
+from devrf.reconstruct.sampling.clean_plate import FEWEST_PICTURES, plate, standing_clips
+from devrf.reconstruct.storage.checkpoint import NOWHERE, Checkpoint
+from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
-from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.hidden import fill, hidden_at_rest, labels_of_hidden
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
 from devrf.reconstruct.tracking.soft import soft_motion_of
+from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface, surface_at_rest, views_at_rest
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.tracking.views.film import Film, films
 
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand

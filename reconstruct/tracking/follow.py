@@ -12,18 +12,18 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from devrf.capture.cores import usable_cores
-from devrf.reconstruct.checkpoint import NOWHERE, Checkpoint
-from devrf.reconstruct.paired import gain_text
-from devrf.reconstruct.sizing import Decision
+from devrf.capture.system.cores import usable_cores
+from devrf.reconstruct.adapt.sizing import Decision
+from devrf.reconstruct.evaluation.paired import gain_text
+from devrf.reconstruct.storage.checkpoint import NOWHERE, Checkpoint
+from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
-from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.follower import Follower
-from devrf.reconstruct.tracking.graph import Graph
 from devrf.reconstruct.tracking.offsets import Offsets, offsets_to_follow
 from devrf.reconstruct.tracking.runs import Runs
+from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.tracking.views.film import Film
 
 MOST_AGAIN = 2  # times that everything is followed with other clocks
 SETTLED = 0.05  # of the time between moments: offsets that change by less are known

@@ -20,16 +20,16 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
-from devrf.reconstruct.tracking.film import Film
-from devrf.reconstruct.tracking.graph import Graph, Pose, pieces
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.runs import Arrays
-from devrf.reconstruct.tracking.shot import Shot, Sum
-from devrf.reconstruct.tracking.sight import Sight
-from devrf.reconstruct.tracking.solve import step
+from devrf.reconstruct.tracking.solver.graph import Graph, Pose, pieces
+from devrf.reconstruct.tracking.solver.solve import step
 from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.tracking.templates import Templates
+from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.views.shot import Shot, Sum
+from devrf.reconstruct.tracking.views.sight import Sight
+from devrf.reconstruct.tracking.views.templates import Templates
 
 SIGMAS = (
     (2.5, 1.2),

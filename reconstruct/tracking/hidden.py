@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import Delaunay, KDTree, QhullError
 from torch import Tensor
 
-from devrf.reconstruct.canonical import Canonical
+from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.geometry.seen import SeenView
-from devrf.reconstruct.grids import vertices
 
 OPTICAL = math.log(2)  # depth of a step that is given to what is hidden: half opaque
 

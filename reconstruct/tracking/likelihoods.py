@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from devrf.reconstruct.tracking.film import DARK, REFERENCE_SIDE, Film, blurred, sampled
-from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.views.film import DARK, REFERENCE_SIDE, Film, blurred, sampled
+from devrf.reconstruct.tracking.views.sight import Sight
 
 MOMENTS = 24
 # Standard deviations in pixels at the longest side `REFERENCE_SIDE`: the pattern between the first two is fine, that

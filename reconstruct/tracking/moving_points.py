@@ -15,9 +15,9 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, maxi
 from scipy.spatial import KDTree
 from scipy.special import expit, logsumexp
 
-from devrf.reconstruct.tracking.film import Film
 from devrf.reconstruct.tracking.likelihoods import Likelihoods, likelihoods
 from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.views.film import Film
 
 ALIKE = 6.0  # moments that tell as much as one that is independent: what lies in the shade stays in it
 GONE = (0.5, 0.7, 0.9)  # shares of the busy time for which what moves may be away

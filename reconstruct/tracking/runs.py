@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from devrf.reconstruct.checkpoint import Checkpoint, Saved, State
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.storage.checkpoint import Checkpoint, Saved, State
+from devrf.reconstruct.storage.training_log import TrainingLog
 
 Arrays = dict[str, np.ndarray]
 

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool
 
 from devrf.capture.scene import Scene
+from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.geometry.cloud import Cloud, point_cloud
 from devrf.reconstruct.geometry.seen import SeenView, look, poses
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.rendering.model import DynamicModel
 
 SPACING = 1.2  # voxels between points: with 1.5 small things are lost
 OF_SWEEP = 24  # poses of the sweep: by 8 a quarter of the points is missing, on leaves and between limbs more

@@ -3,16 +3,16 @@
 import os
 import signal
 
-STOPPED = 130  # devrf.pipelines.exit_codes, which is not loaded yet
+STOPPED = 130  # devrf.pipelines.terminal.exit_codes, which is not loaded yet
 
 
 def main() -> None:
     """Entry point of the console script."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else somebody wants it ignored
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(STOPPED))  # nothing has begun
-    from devrf.pipelines import cli
+    from devrf.pipelines.cli.main import main as cli
 
-    cli.main()
+    cli()
 
 
 if __name__ == "__main__":

@@ -14,13 +14,13 @@ from tests.pipelines.trained_run import boxed_model, write_trained
 from tests.reconstruct.conftest import look_at
 
 from devrf.capture.camera import Camera
-from devrf.pipelines.console import Talk
-from devrf.pipelines.export.command import export
+from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.player import _told
 from devrf.pipelines.export.request import Options
 from devrf.pipelines.player.page import player_page
+from devrf.pipelines.terminal.console import Talk
 from devrf.reconstruct.kernels.splat import splat
-from devrf.reconstruct.model import render_view
+from devrf.reconstruct.rendering.model import render_view
 from devrf.reconstruct.splats.gaussians import Gaussians, flattened, tiles_of
 from devrf.reconstruct.splats.moving import Nodes
 from devrf.reconstruct.splats.packed import pack

@@ -19,8 +19,8 @@ from tests.browser.pages import (
 from tests.conftest import Command, ExampleRun
 from tests.pipelines.report_folder import write_run
 
-from devrf.pipelines.report.page import MAX_PAGE_BYTES, build_report
-from devrf.pipelines.report.run import RunFolder
+from devrf.pipelines.report.report_page import MAX_PAGE_BYTES, build_report
+from devrf.pipelines.report.run_reader import RunFolder
 from devrf.pipelines.stages import stage_names
 
 

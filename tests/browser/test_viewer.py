@@ -16,13 +16,13 @@ from tests.pipelines.viewer_run import ViewerRun
 from tests.reconstruct.conftest import Ball, ball, rest  # noqa: F401 (fixtures)
 from tests.waiting import wait_for
 
-from devrf.capture.resize import shrink
+from devrf.capture.photos.resize import shrink
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.viewer import site as viewer_site
-from devrf.pipelines.viewer.site import Site, first_camera, seen_by
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.model_io import load_model
-from devrf.reconstruct.rest_model import RestModel
+from devrf.pipelines.viewer import server as viewer_site
+from devrf.pipelines.viewer.server import Site, first_camera, seen_by
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.storage.model_io import load_model
 
 pytestmark = pytest.mark.full
 

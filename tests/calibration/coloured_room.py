@@ -9,7 +9,7 @@ from tests.calibration.conftest import DOWN
 from devrf.calibration.colour.surface import View
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture.camera import Camera
-from devrf.capture.srgb import LEVEL_OF_LINEAR
+from devrf.capture.colour.srgb import LEVEL_OF_LINEAR
 from devrf.capture.view_axes import look_at
 
 SIZE = (480, 360)

@@ -13,8 +13,8 @@ from devrf.calibration.boards.find import BoardSpec, find_board
 from devrf.calibration.boards.guess import guess_board
 from devrf.calibration.boards.layout import settle
 from devrf.capture.camera import Camera
-from devrf.capture.errors import HealthError, InputError
-from devrf.capture.pictures import read_grey
+from devrf.capture.photos.upright_pictures import read_grey
+from devrf.capture.system.errors import HealthError, InputError
 
 SPEC = BoardSpec("charuco", (6, 4), 0.05, 0.0375, "DICT_5X5_100")
 PIXELS_PER_SQUARE = 60

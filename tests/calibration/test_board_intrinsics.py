@@ -10,12 +10,12 @@ import pytest
 from tests.refused import refused
 
 from devrf.calibration.boards import calibrate
+from devrf.calibration.boards.board_fit import board_pose
 from devrf.calibration.boards.calibrate import FISHEYE, FIVE_COEFFICIENTS, PINHOLE, calibrate_intrinsics
-from devrf.calibration.boards.evidence import cell_counts
-from devrf.calibration.boards.fit import board_pose
+from devrf.calibration.boards.coverage import cell_counts
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.capture.camera import Camera
-from devrf.capture.errors import HealthError
+from devrf.capture.system.errors import HealthError
 from devrf.lab.bench.accuracy.simulated_boards import FOCAL, LENS, SIZE, SPEC, board_views, camera
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from devrf.calibration.bounds import VOXEL, Bounds, focus_point, scene_bounds
-from devrf.calibration.box_checks import cut_off, not_explained, not_swept, outside_box
+from devrf.calibration.extent.bounds import VOXEL, Bounds, focus_point, scene_bounds
+from devrf.calibration.extent.box_checks import cut_off, not_explained, not_swept, outside_box
+from devrf.calibration.extent.mask_box import MaskHull
+from devrf.calibration.extent.motion_masks import MotionMask, motion_mask
 from devrf.calibration.intrinsics import guess
-from devrf.calibration.mask_box import MaskHull
-from devrf.calibration.motion_masks import MotionMask, motion_mask
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
 

@@ -21,7 +21,7 @@ from devrf.calibration.intrinsics import HALF_PIXEL
 from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.rig import Rig
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 LENSES = {  # name: width, height, fx, fy, cx, cy, distortion; names that do not sort as they are written
     "left": (1280, 720, 903.55, 907.88, 618.81, 394.71, [-0.332, 0.0464, -0.0043, 0.0041, 0.0666]),

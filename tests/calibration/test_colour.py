@@ -10,15 +10,15 @@ from tests.refused import refused
 
 from devrf.calibration.colour import match
 from devrf.calibration.colour.camera_points import camera_pairs
-from devrf.calibration.colour.fit import brighter_by, difference, fit_correction, folds
+from devrf.calibration.colour.colours import CameraColour, Colours, read_colours
+from devrf.calibration.colour.correction_fit import brighter_by, difference, fit_correction, folds
 from devrf.calibration.colour.match import Apart, match_cameras
-from devrf.calibration.colour.result import CameraColour, Colours, read_colours
 from devrf.calibration.colour.surface import WHITE_LEVEL, Pairs, View
 from devrf.calibration.colour.sweep_points import sweep_pairs
-from devrf.capture.errors import CaptureError
+from devrf.capture.colour.correction import SAME, Look, as_matrix
+from devrf.capture.colour.srgb import LINEAR_OF_LEVEL
 from devrf.capture.frames import SWEEP
-from devrf.capture.look import SAME, Look, as_matrix
-from devrf.capture.srgb import LINEAR_OF_LEVEL
+from devrf.capture.system.errors import CaptureError
 
 MIXED = np.array([[0.9, 0.06, -0.02], [0.03, 0.8, 0.05], [0.0, -0.04, 1.1]])
 LOOKS = [

@@ -5,8 +5,8 @@ import pytest
 from jaxtyping import Float
 from tests.make.pictures import Pictures, course_of, film_of_room
 
-from devrf.calibration.flicker import EXPOSURE_STOPS, judge_light, steady_gains
-from devrf.capture.srgb import LINEAR_OF_LEVEL
+from devrf.calibration.colour.flicker import EXPOSURE_STOPS, judge_light, steady_gains
+from devrf.capture.colour.srgb import LINEAR_OF_LEVEL
 
 FPS = 29.97
 FRAMES = 120

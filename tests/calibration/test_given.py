@@ -15,8 +15,8 @@ from tests.refused import refused
 from devrf.calibration.rigs.given import Given, read_given
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.formats.colmap_model import Model, read_model, write_model
+from devrf.capture.formats.colmap.colmap_model import Model, read_model, write_model
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.health.judge import judge
 
 SIZE = (640, 480)

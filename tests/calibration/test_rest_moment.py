@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.calibration import coloured_room as room
 
-from devrf.calibration.rest_moment import (
+from devrf.calibration.extent.rest_moment import (
     FEWEST,
     MOMENTS,
     RestSeen,

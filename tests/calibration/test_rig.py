@@ -24,12 +24,12 @@ from devrf.calibration.rigs.sweep_route import FixedCameraInput, rig_from_sweep
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError, HealthError
 from devrf.capture.rest import Rest
+from devrf.capture.system.errors import CaptureError, HealthError
 from devrf.capture.view_axes import look_at
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.joint_clips import JointViews
-from devrf.pipelines.stages import rig as rig_stage
+from devrf.pipelines.stages.rig import rig_stage
+from devrf.pipelines.stages.rig.joint_clips import JointViews
 
 SIZE = (640, 480)
 VECTOR = np.array([520.0, 520.0, 324.0, 236.0, -0.06, 0.0, 0.0, 0.0, 0.0])

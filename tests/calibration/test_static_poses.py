@@ -17,7 +17,7 @@ from devrf.calibration.sweep.devices import device_groups
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.static_poses import SweepOptions, read_static_poses, recover_static_poses
 from devrf.calibration.truth import rotation_angle_deg, similarity
-from devrf.capture.errors import CalibrationError, HealthError
+from devrf.capture.system.errors import CalibrationError, HealthError
 
 FOCAL = 300.0  # what the corner is drawn with
 VIEWS = 9

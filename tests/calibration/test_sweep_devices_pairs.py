@@ -12,13 +12,13 @@ from devrf.calibration.sweep.gps import USUAL_STD_M, local_metres, why_not
 from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.pairs import EXHAUSTIVE_UP_TO, plan_pairs
 from devrf.calibration.sweep.sfm_budget import CHUNK, Deadline, Matching
-from devrf.capture.errors import InputError
 from devrf.capture.exif import Exif, Place
 from devrf.capture.frames import FrameSet
-from devrf.capture.photos import extract_folder
-from devrf.capture.pictures import probe_picture
+from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.upright_pictures import probe_picture
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.preflight import check_raw_files
+from devrf.pipelines.stages.preflight import check_raw_files
 from devrf.pipelines.stages.static_poses import recover_sweep
 
 

@@ -17,11 +17,11 @@ from devrf.calibration.sweep.checks import open_loop, picture_fits, two_zooms
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.sweep.two_views import TwoViews, against_model, torn_apart
 from devrf.capture.camera import Camera
-from devrf.capture.errors import HealthError
 from devrf.capture.exif import Exif, Place
+from devrf.capture.system.errors import HealthError
 from devrf.capture.view_axes import look_at
 from devrf.pipelines.health.judge import HealthRow
-from devrf.pipelines.health.sweep import LINKED, sweep_measures
+from devrf.pipelines.health.sweep_rows import LINKED, sweep_measures
 
 FOCAL, SIZE = 300.0, (320, 240)  # what the corner is drawn with
 

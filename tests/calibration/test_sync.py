@@ -8,14 +8,14 @@ import pytest
 from scipy.signal import fftconvolve
 from tests.refused import refused
 
+from devrf.calibration.clocks.cues import Extras
 from devrf.calibration.clocks.equations import Clock, Equation, consistent
-from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.motion import motion_delay
 from devrf.calibration.clocks.sound import gcc_phat, sound_delay
 from devrf.calibration.clocks.sync import _with_guesses, synchronise
-from devrf.capture.audio import Sound, read_sound
-from devrf.capture.errors import CalibrationError
-from devrf.capture.recorded import Recorded
+from devrf.capture.system.errors import CalibrationError
+from devrf.capture.video.audio import Sound, read_sound
+from devrf.capture.video.recorded import Recorded
 
 RATE_HZ = 48_000
 NAMES = ("cam0", "cam1", "cam2", "cam3", "witness")

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devrf.calibration.clocks.evidence import Extras
+from devrf.calibration.clocks.cues import Extras
 from devrf.calibration.clocks.flash import Brightness, find_flashes, flash_delay
 from devrf.calibration.clocks.sync import synchronise
-from devrf.capture.audio import Sound
-from devrf.capture.clips import Keep, extract_clip
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
+from devrf.capture.video.audio import Sound
 from devrf.lab.simulate.session.flash import RollingShutter, exposed, film_flashes
 
 FPS, SECONDS = 30.0, 4.0

@@ -16,7 +16,7 @@ from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.clocks.geometry import GeometryCheck, PairCheck, check_clocks, refined
 from devrf.calibration.formats import find_calibration
 from devrf.capture.camera import Camera
-from devrf.capture.video import VideoReader
+from devrf.capture.video.reader import VideoReader
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
 

@@ -18,7 +18,7 @@ from devrf.calibration.truth import (
     similarity,
 )
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 
 K = np.array([[100.0, 0, 32], [0, 100, 24], [0, 0, 1]])
 

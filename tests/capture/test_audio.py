@@ -6,8 +6,8 @@ import av
 import numpy as np
 import pytest
 
-from devrf.capture.audio import Sound, _channels, _place, read_sound, read_wav, write_wav
-from devrf.capture.audio_channels import Heard, choose
+from devrf.capture.video.audio import Sound, _channels, _place, read_sound, read_wav, write_wav
+from devrf.capture.video.audio_channels import Heard, choose
 
 
 def clicks(rate_hz: int, times_s: list[float], duration_s: float) -> np.ndarray:

@@ -11,10 +11,10 @@ import pytest
 from tests.make.datasets import LAYOUTS, write_set
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset
-from devrf.capture.picture_files import read_pixels
+from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import CaptureError
 
 TRAIN = "dynamic_2views/transforms_train.json"
 

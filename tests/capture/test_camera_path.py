@@ -9,8 +9,8 @@ import pytest
 from tests.refused import refused
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.formats.camera_path import read_camera_path
+from devrf.capture.formats.geometry.camera_path import read_camera_path
+from devrf.capture.system.errors import InputError
 
 POSE = np.array([[0.0, 0, 1, 2], [1, 0, 0, -1], [0, 1, 0, 0.5], [0, 0, 0, 1]])  # OpenGL, world from camera
 USUAL = (320, 180)

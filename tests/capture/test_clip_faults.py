@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.clips import Extract, Keep, extract_clip
-from devrf.capture.photos import extract_folder
-from devrf.capture.pictures import write_picture
-from devrf.capture.video import VideoReader
+from devrf.capture.ingest.extract_clip import Extract, Keep, extract_clip
+from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.upright_pictures import write_picture
+from devrf.capture.video.reader import VideoReader
 
 SIZE = (320, 240)
 

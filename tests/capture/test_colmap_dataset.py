@@ -12,9 +12,9 @@ import pytest
 from tests.refused import refused
 
 from devrf.calibration.formats import find_calibration
-from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset
-from devrf.capture.formats.colmap_model import MODELS, Model, ModelCamera, ModelImage, write_model
+from devrf.capture.formats.colmap.colmap_model import MODELS, Model, ModelCamera, ModelImage, write_model
+from devrf.capture.system.errors import CaptureError
 
 POSES = ("1 0 0 0 0.1 0.2 3", "0.9238795325112867 0 0.3826834323650898 0 0 0 3", "2 0 0 0 -1 0 3")
 

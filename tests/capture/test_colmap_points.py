@@ -7,8 +7,8 @@ import sys
 import numpy as np
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.colmap_model import read_points
+from devrf.capture.formats.colmap.colmap_model import read_points
+from devrf.capture.system.errors import CaptureError
 
 
 def _read(folder):

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from devrf.capture.formats import read_dataset, write_dataset
-from devrf.capture.formats.colmap_rigs import simultaneous
+from devrf.capture.formats.colmap.colmap_rigs import simultaneous
 from devrf.capture.scene import Scene
 
 READ = """

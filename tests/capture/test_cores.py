@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from devrf.capture.cores import usable_cores
+from devrf.capture.system.cores import usable_cores
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from devrf.capture.clips import Keep, extract_clip
-from devrf.capture.empty_ends import empty_ends
+from devrf.capture.ingest.empty_ends import empty_ends
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
 
 FULL = [40.0, 41, 40, 39, 40, 41, 40, 40, 39, 40]
 

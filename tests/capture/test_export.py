@@ -12,10 +12,10 @@ from plyfile import PlyData
 from tests.make.datasets import write_set
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.formats import WRITERS, read_dataset, write_dataset
-from devrf.capture.formats.export import MARKER, new_folder
+from devrf.capture.formats.parts.export import MARKER, new_folder
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints
+from devrf.capture.system.errors import CaptureError, InputError
 
 LARGEST_MISS_PX = 1e-6
 SEEDED = np.random.default_rng(0).uniform(-0.6, 0.6, (200, 3))

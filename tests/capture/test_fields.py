@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tests.make.clips import film
 
-from devrf.capture.clips import Keep, extract_clip
-from devrf.capture.fields import SecondFields
-from devrf.capture.packets import scan_packets
-from devrf.capture.sampled import picture_times
-from devrf.capture.video import VideoReader
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
+from devrf.capture.video.interlaced import SecondFields
+from devrf.capture.video.packets import scan_packets
+from devrf.capture.video.reader import VideoReader
+from devrf.capture.video.sampled import picture_times
 
 
 def test_two_fields_are_one_picture(crew_files, tmp_path):

@@ -10,9 +10,9 @@ from tests.make.scenes import scene_of
 from tests.refused import refused
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError
 from devrf.capture.formats import FLIP_YZ, read_dataset, read_scene, read_transforms, write_scene
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.system.errors import CaptureError
 
 
 @pytest.fixture

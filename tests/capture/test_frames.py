@@ -8,17 +8,17 @@ import pytest
 from PIL import Image, ImageOps, PngImagePlugin
 from tests.refused import refused
 
-from devrf.capture.clips import Keep, extract_clip
-from devrf.capture.courses import ROW_BANDS
-from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.frames import FrameSet, sharp, sharpest_per_window, sharpness, timing, window_of
-from devrf.capture.ingest import read_motion, read_sounds, write_frames, write_sounds
-from devrf.capture.photo_folders import list_pictures
-from devrf.capture.photos import extract_folder
-from devrf.capture.picture_files import natural_key
-from devrf.capture.pictures import probe_picture, read_picture, write_picture
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
+from devrf.capture.ingest.ingest import read_motion, read_sounds, write_frames, write_sounds
+from devrf.capture.ingest.signals import ROW_BANDS
+from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.photo_folders import list_pictures
+from devrf.capture.photos.picture_files import natural_key
+from devrf.capture.photos.upright_pictures import probe_picture, read_picture, write_picture
 from devrf.capture.session import CaptureSession
-from devrf.capture.timestamps import FrameTimes
+from devrf.capture.system.errors import CaptureError, InputError
+from devrf.capture.video.timestamps import FrameTimes
 
 
 def test_sharpness_falls_with_blur():

@@ -5,11 +5,11 @@ import pytest
 from tests.make.pictures import Pictures, course_of, film_of_room, levels_of, room
 from tests.refused import refused
 
-from devrf.capture.clips import Keep, extract_clip
-from devrf.capture.errors import CaptureError
-from devrf.capture.light import BANDS, LightCourse, clipped_share, highlight_faults
-from devrf.capture.photos import extract_folder
-from devrf.capture.pictures import write_picture
+from devrf.capture.colour.light_course import BANDS, LightCourse, clipped_share, highlight_faults
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
+from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.upright_pictures import write_picture
+from devrf.capture.system.errors import CaptureError
 
 # A cell is the mean of 25 pixels (here), the course the median of some 400 cells. With noise of one level (0.9 % of the
 # light at mid grey) and rounding (0.3 levels), a cell errs by 0.3 %, their median by 1.25 * 0.3 % / sqrt(400) = 0.02 %,

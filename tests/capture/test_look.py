@@ -8,14 +8,14 @@ from tests.make.pictures import frame_of
 from tests.make.scenes import scene_of
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
+from devrf.capture.colour.correction import Look, as_matrix
+from devrf.capture.colour.srgb import linear_from_srgb, srgb_from_linear
 from devrf.capture.formats.datasets import write_dataset
-from devrf.capture.formats.files import read_json, write_json
-from devrf.capture.formats.transforms import read_transforms, write_transforms
-from devrf.capture.look import Look, as_matrix
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.formats.parts.files import read_json, write_json
+from devrf.capture.formats.parts.transforms import read_transforms, write_transforms
+from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.scene import PosedFrame, load_image
-from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
+from devrf.capture.system.errors import CaptureError
 
 MIXED = as_matrix(np.array([[0.9, 0.06, -0.02], [0.03, 0.8, 0.05], [0.0, -0.04, 1.1]]))
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
 from devrf.capture.formats import WRITERS, read_dataset, write_dataset
-from devrf.capture.formats.files import read_json, write_json
-from devrf.capture.formats.scene_files import read_scene, write_scene
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.formats.parts.files import read_json, write_json
+from devrf.capture.formats.parts.scene_files import read_scene, write_scene
+from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.scene import PosedFrame, Scene, load_image, read_opacity
+from devrf.capture.system.errors import CaptureError
 
 
 @pytest.fixture

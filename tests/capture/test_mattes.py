@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError, InputError
 from devrf.capture.mattes.chroma import find_key, is_screen_hue, parse_colour
 from devrf.capture.mattes.given import cameras_with_mattes, find_mattes, is_inverted, read_given
 from devrf.capture.mattes.make import Clip, chroma_mattes, given_mattes
-from devrf.capture.mattes.measure import measure
+from devrf.capture.mattes.matte_facts import measure
 from devrf.capture.mattes.tidy import tidy
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.photos.picture_files import read_pixels, write_png
+from devrf.capture.system.errors import CaptureError, InputError
 
 SIZE = (200, 150)
 Passing = tuple[np.ndarray, np.ndarray]

@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 from tests.refused import refused
 
-from devrf.capture.photo_folders import list_pictures, unread_faults, unread_kinds
-from devrf.capture.pictures import probe_picture, read_picture
+from devrf.capture.photos.photo_folders import list_pictures, unread_faults, unread_kinds
+from devrf.capture.photos.upright_pictures import probe_picture, read_picture
 
 
 def touch(folder: Path, *names: str) -> None:

@@ -8,10 +8,10 @@ from PIL import Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.photo_curve import declared_gamma
-from devrf.capture.photos import extract_folder
-from devrf.capture.pictures import write_picture
+from devrf.capture.colour.photo_curve import declared_gamma
+from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.upright_pictures import write_picture
+from devrf.capture.system.errors import CaptureError
 
 PICTURE = Image.fromarray(np.full((24, 32, 3), 90, np.uint8))
 

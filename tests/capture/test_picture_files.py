@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.picture_files import damaged_pictures, read_pixels, write_png
+from devrf.capture.photos.picture_files import damaged_pictures, read_pixels, write_png
+from devrf.capture.system.errors import CaptureError
 
 
 def noise(*shape: int, top: int = 256, dtype: type = np.uint8) -> np.ndarray:

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from devrf.capture.processes import descendants, memory_of, run_module
+from devrf.capture.system.processes import descendants, memory_of, run_module
 
 TIED = """
 import os, sys, time
-from devrf.capture.processes import die_with_parent
+from devrf.capture.system.processes import die_with_parent
 die_with_parent(int(sys.argv[1]))
 print(os.getpid(), flush=True)
 time.sleep(60)

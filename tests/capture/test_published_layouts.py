@@ -10,10 +10,10 @@ import pytest
 from tests.make.tables import table
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
 from devrf.capture.formats import read_dataset
-from devrf.capture.formats.flow_files import read_flow_file
+from devrf.capture.formats.parts.flow_files import read_flow_file
 from devrf.capture.scene import background_of, load_image, plain_colour
+from devrf.capture.system.errors import CaptureError
 
 WIDTH, HEIGHT, FOCAL = 48, 32, 40.0
 

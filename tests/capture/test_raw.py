@@ -11,14 +11,14 @@ import pytest
 from jaxtyping import Float
 from tests.refused import refused
 
-from devrf.capture import raw_set
-from devrf.capture.cores import usable_cores
-from devrf.capture.errors import CaptureError, InputError
-from devrf.capture.photos import extract_folder
-from devrf.capture.pictures import probe_picture, read_picture
-from devrf.capture.raw import Development, Recipe, develop, is_raw, recipe_for
-from devrf.capture.raw_set import develop_set, read_raw_sidecar
-from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
+from devrf.capture.colour.srgb import linear_from_srgb, srgb_from_linear
+from devrf.capture.photos import raw_set
+from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.raw import Development, Recipe, develop, is_raw, recipe_for
+from devrf.capture.photos.raw_set import develop_set, read_raw_sidecar
+from devrf.capture.photos.upright_pictures import probe_picture, read_picture
+from devrf.capture.system.cores import usable_cores
+from devrf.capture.system.errors import CaptureError, InputError
 from devrf.lab.simulate.session.dng import mosaic, write_dng
 
 HEIGHT, WIDTH = 96, 128

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.make.clips import add_pictures
 
-from devrf.capture.recordings import chapter_faults, chapters, is_of_photo, join_command, small_copy_of
+from devrf.capture.ingest.recordings import chapter_faults, chapters, is_of_photo, join_command, small_copy_of
 
 
 def named(folder: Path, *names: str) -> list[Path]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devrf.capture.resize import area_weights, filter_sides, shrink, window_weights
+from devrf.capture.photos.resize import area_weights, filter_sides, shrink, window_weights
 
 SIZES = [(40, 30), (20, 15), (10, 10), (33, 29), (27, 30), (40, 7), (1, 1)]  # of a picture of 40 x 30
 

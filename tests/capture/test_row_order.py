@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.formats import read_dataset
-from devrf.capture.picture_files import natural_key
+from devrf.capture.photos.picture_files import natural_key
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 from tests.make.pictures import frame_of
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
 from devrf.capture.scene import image_scale_for, load_image
+from devrf.capture.system.errors import CaptureError
 
 
 def test_colours_come_back_as_rgb(tmp_path):

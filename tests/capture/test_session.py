@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
-from devrf.capture.pictures import probe_picture, write_picture
+from devrf.capture.photos.upright_pictures import probe_picture, write_picture
 from devrf.capture.session import CaptureSession, preflight
-from devrf.capture.timestamps import check_table, read_timestamps
-from devrf.capture.video import probe_video
+from devrf.capture.system.errors import InputError
+from devrf.capture.video.reader import probe_video
+from devrf.capture.video.timestamps import check_table, read_timestamps
 
 TABLE = "camera,frame_index,time_s\n"
 

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.calibration.flicker import judge_light
-from devrf.capture.light import BANDS, LightCourse
-from devrf.capture.recorded import rate_faults, timecode_s
-from devrf.capture.slow_motion import check_filmed_rate, length_faults
-from devrf.capture.timestamps import FrameTimes, check_table, table_factor, table_faults
+from devrf.calibration.colour.flicker import judge_light
+from devrf.capture.colour.light_course import BANDS, LightCourse
+from devrf.capture.video.recorded import rate_faults, timecode_s
+from devrf.capture.video.slow_motion import check_filmed_rate, length_faults
+from devrf.capture.video.timestamps import FrameTimes, check_table, table_factor, table_faults
 
 CLIP_S = {n: n / 30 for n in range(60)}
 

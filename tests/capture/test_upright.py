@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from devrf.capture.upright import Upright, by_display_matrix, by_exif
+from devrf.capture.orientation import Upright, by_display_matrix, by_exif
 
 PICTURE = np.arange(6, dtype=np.uint8).reshape(2, 3)
 EXIF = {  # EXIF 2.3, tag 0x0112: which side of the scene row 0 and column 0 are

@@ -8,10 +8,10 @@ import pytest
 from tests.make.clips import add_pictures
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
-from devrf.capture.media import MOST_THREADS, open_media, video_stream
-from devrf.capture.packets import scan_packets
-from devrf.capture.video import VideoReader, probe_video
+from devrf.capture.system.errors import InputError
+from devrf.capture.video.media import MOST_THREADS, open_media, video_stream
+from devrf.capture.video.packets import scan_packets
+from devrf.capture.video.reader import VideoReader, probe_video
 
 
 def read(path: Path) -> tuple[list[float], list[np.ndarray], str | None]:

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from devrf.capture.hdr import FULL_CODE, srgb_from_hdr
-from devrf.capture.video import VideoFrame, VideoReader
-from devrf.capture.video_jpeg import jfif_planes, jpeg_of
+from devrf.capture.colour.tone_mapping import FULL_CODE, srgb_from_hdr
+from devrf.capture.video.reader import VideoFrame, VideoReader
+from devrf.capture.video.video_jpeg import jfif_planes, jpeg_of
 
 PATCHES = np.array(
     [[255, 255, 255], [200, 60, 30], [20, 200, 90], [40, 60, 210], [128, 128, 128], [0, 0, 0]], np.uint8

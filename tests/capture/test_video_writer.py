@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import CaptureError
-from devrf.capture.video_writer import video_beside, write_video
+from devrf.capture.system.errors import CaptureError
+from devrf.capture.video.video_writer import video_beside, write_video
 
 
 def _flat(colour, height=48, width=64):

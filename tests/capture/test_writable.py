@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
-from devrf.capture.writable import check_file, check_folder
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.writable import check_file, check_folder
 
 
 def test_a_folder_that_is_missing_with_those_above_it(tmp_path: Path) -> None:

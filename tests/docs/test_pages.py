@@ -13,7 +13,7 @@ import typer
 import yaml
 from tests.docs.pages import PAGES, PROGRAM, REPOSITORY, anchors, blocks, calls, links, prose
 
-from devrf.pipelines.cli import app
+from devrf.pipelines.cli.main import app
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene
 
@@ -59,7 +59,7 @@ FIRST_WORDS = {name.split()[0] for name in COMMANDS} | {"COMMAND"}
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the pages and the schema that the program writes of itself."""
     folder = tmp_path_factory.mktemp("pages")
-    commands = ["-m", "typer", "devrf.pipelines.cli", "utils", "docs", "--name", PROGRAM, "--output"]
+    commands = ["-m", "typer", "devrf.pipelines.cli.main", "utils", "docs", "--name", PROGRAM, "--output"]
     for name, command in (
         ("commands.md", commands),
         ("configuration.md", [DOCS / "site" / "configuration.py"]),

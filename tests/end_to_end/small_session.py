@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import yaml
 
-from devrf.capture.picture_files import write_png
+from devrf.capture.photos.picture_files import write_png
 
 VIEWS = 24  # of the sweep, spread evenly over the example's
 CAMERAS = ("cam0", "cam2")

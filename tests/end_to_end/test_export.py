@@ -12,9 +12,9 @@ from tests.make.glb import read_glb
 
 from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.formats import read_scene
-from devrf.pipelines.console import Talk
-from devrf.pipelines.export.command import export
+from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.request import Options
+from devrf.pipelines.terminal.console import Talk
 
 TIME_S = 1.3  # in mid-motion: half of the sheet's points are 0.1 m or more from where they rest
 MEDIAN_M = 0.015  # a voxel and a half; measured 0.008

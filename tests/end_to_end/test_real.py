@@ -13,7 +13,7 @@ import yaml
 from tests.conftest import SMALL_FILM
 
 from devrf.pipelines.stages import NO_CAMERAS, render
-from devrf.reconstruct.evaluate import motion_psnr
+from devrf.reconstruct.evaluation.evaluate import motion_psnr
 
 pytestmark = pytest.mark.full
 

@@ -8,7 +8,7 @@ import pytest
 
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
-from devrf.reconstruct.evaluate import motion_psnr
+from devrf.reconstruct.evaluation.evaluate import motion_psnr
 
 pytestmark = pytest.mark.full
 

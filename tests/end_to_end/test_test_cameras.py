@@ -22,7 +22,7 @@ from tests.conftest import EXAMPLE
 from tests.end_to_end.small_session import WITNESS, write_small_session
 from tests.make.clips import film
 
-from devrf.capture.picture_files import read_pixels
+from devrf.capture.photos.picture_files import read_pixels
 
 SMALLER = {"canonical_iterations": 40, "motion_iterations": 8, "rays": 512, "resolution": 40}
 # What a training took, which no two runs have in common.

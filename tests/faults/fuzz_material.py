@@ -20,7 +20,7 @@ from tests.make.rigs import RIG_LAYOUTS
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Scene
-from devrf.capture.video_writer import write_video
+from devrf.capture.video.video_writer import write_video
 from devrf.flow.store import write_pair
 
 SIZE = (96, 72)
@@ -216,7 +216,7 @@ def _data_sets(folder: Path, odd_scene: Scene, out: dict[str, Target]) -> None:
 
 def _model_as_text(folder: Path, out: dict[str, Target]) -> None:
     """COLMAP's text form of the cameras and images, keypoints left out."""
-    from devrf.capture.formats.colmap_model import read_model
+    from devrf.capture.formats.colmap.colmap_model import read_model
 
     scene = scene_yaml(folder / "colmap_text", dataset={"format": "colmap", "path": "set"})
     shutil.copytree(folder / "colmap" / "set", scene / "set")
@@ -275,9 +275,9 @@ def _calibrations(folder: Path, data: Path, out: dict[str, Target]) -> None:
 def _models(folder: Path, out: dict[str, Target]) -> None:
     from tests.make.models import random_model
 
-    from devrf.reconstruct.checkpoint import Checkpoint, Saved
-    from devrf.reconstruct.model_io import save_motion, save_rest
-    from devrf.reconstruct.training_log import TrainingLog
+    from devrf.reconstruct.storage.checkpoint import Checkpoint, Saved
+    from devrf.reconstruct.storage.model_io import save_motion, save_rest
+    from devrf.reconstruct.storage.training_log import TrainingLog
 
     folder.mkdir()
     model = random_model()
@@ -326,7 +326,7 @@ def _other_commands(folder: Path, out: dict[str, Target]) -> None:
     scene = scene_yaml(folder / "run", capture=capture, calibration={"sync": {"method": "none"}})
     for name, source in (("static", "static.mp4"), ("cam0", "made.mp4")):
         shutil.copy(folder.parent / "clips" / source, scene / f"{name}.mp4")
-    line = [sys.executable, "-m", "devrf.pipelines.cli", "run", str(scene), "--until", "sync", "--quiet"]
+    line = [sys.executable, "-m", "devrf.pipelines.cli.main", "run", str(scene), "--until", "sync", "--quiet"]
     subprocess.run(line, check=True, timeout=120)
     template = (scene / "run").rename(folder / "template")
     again = ("--until", "sync")

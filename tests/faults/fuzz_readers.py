@@ -5,13 +5,13 @@ from pathlib import Path
 
 
 def _rest(path: str) -> None:
-    from devrf.reconstruct.model_io import load_rest
+    from devrf.reconstruct.storage.model_io import load_rest
 
     load_rest(Path(path))
 
 
 def _motion(path: str) -> None:
-    from devrf.reconstruct.model_io import load_motion
+    from devrf.reconstruct.storage.model_io import load_motion
 
     load_motion(Path(path))
 
@@ -24,7 +24,7 @@ def _pair(path: str) -> None:
 
 
 def _flow(path: str) -> None:
-    from devrf.capture.formats.flow_files import read_flow_file
+    from devrf.capture.formats.parts.flow_files import read_flow_file
 
     read_flow_file(Path(path))
 
@@ -42,13 +42,13 @@ def _rig(path: str) -> None:
 
 
 def _raft(path: str) -> None:
-    from devrf.flow.raft_weights import load_raft
+    from devrf.flow.raft.weights import load_raft
 
     load_raft(Path(path))
 
 
 def _lpips(path: str) -> None:
-    from devrf.reconstruct.lpips_weights import load_weights
+    from devrf.reconstruct.evaluation.lpips_weights import load_weights
 
     load_weights("alex", Path(path).parent)
 
@@ -66,8 +66,8 @@ def _calibration(path: str) -> None:
 
 
 def _checkpoint(path: str) -> None:
-    from devrf.reconstruct.checkpoint import Checkpoint
-    from devrf.reconstruct.training_log import TrainingLog
+    from devrf.reconstruct.storage.checkpoint import Checkpoint
+    from devrf.reconstruct.storage.training_log import TrainingLog
 
     checkpoint = Checkpoint(Path(path), "fuzz")
     checkpoint.begun()

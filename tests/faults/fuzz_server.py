@@ -17,11 +17,9 @@ import cv2
 import rawpy  # noqa: F401 (imported before the first fork, as the rest)
 from tests.faults.fuzz_readers import READERS
 
-from devrf.capture.errors import DevrfError
+from devrf.capture.system.errors import DevrfError
 from devrf.lab.bench import bench_command  # noqa: F401
-from devrf.pipelines import cli, configured_dataset, preflight  # noqa: F401
-from devrf.pipelines.stages import STAGES, ingest, scene, sync  # noqa: F401
-from devrf.reconstruct import model_io  # noqa: F401
+from devrf.pipelines.cli import main as cli
 
 FAILED = 1
 MOST_BYTES = 12e9  # of address space: what a case asks for beyond must not take the machine down

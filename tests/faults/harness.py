@@ -18,8 +18,8 @@ from typing import Any
 from tests.conftest import REPOSITORY
 from tests.faults.tiny_stages import NAMES, stages
 
-from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.stamps.stamp import stamp_id
+from devrf.pipelines.terminal.exit_codes import DONE
 
 BESIDE = (
     "devrf.log",

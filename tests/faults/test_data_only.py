@@ -10,17 +10,19 @@ from tests.conftest import REPOSITORY
 ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab")
 ONLY_IN = {  # module or call -> the files that may
     "xml": ("calibration/formats/qualisys.py",),  # entities are refused there
-    "Image.open": ("capture/picture_files.py",),  # the doors of docs/security.md, which ask for sizes first
-    "cv2.imdecode": ("capture/pictures.py",),
-    "rawpy.imread": ("capture/raw.py",),
-    "npy.read_array": ("capture/arrays.py",),
-    "torch.load": ("flow/weights_file.py",),
+    "Image.open": (
+        "capture/photos/picture_files.py",
+    ),  # the doors of docs/security.md, which ask for sizes first
+    "cv2.imdecode": ("capture/photos/upright_pictures.py",),
+    "rawpy.imread": ("capture/photos/raw.py",),
+    "npy.read_array": ("capture/system/arrays.py",),
+    "torch.load": ("flow/raft/weights_file.py",),
     "yaml.load": (
         "pipelines/config/text.py",
         "calibration/formats/kalibr.py",
     ),  # by a SafeLoader of their own
     "socket.socket": ("pipelines/viewer/command.py",),  # the one command that listens, on loopback by default
-    "viser.ViserServer": ("pipelines/viewer/site.py",),
+    "viser.ViserServer": ("pipelines/viewer/server.py",),
 }
 NEVER = {
     "pickle", "shelve", "marshal", "dill", "cloudpickle", "joblib", "np.load", "numpy.load", "np.fromfile", "np.memmap",

@@ -12,7 +12,7 @@ from tests.faults.conftest import TinyMaker
 from tests.faults.harness import Count, Tiny, go_on
 from tests.faults.test_killed import start_from
 
-from devrf.pipelines.exit_codes import DONE, FAILED
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED
 
 KB = 1024
 NEEDED_KB = 720  # of an undisturbed run, about

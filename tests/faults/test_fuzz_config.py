@@ -24,9 +24,9 @@ from tests.faults.fuzzing import Fuzzer
 from tests.faults.hostile import NUMBERS, RAW_TEXTS, TEXTS, WORDS
 
 from devrf.capture.formats.datasets import write_dataset
-from devrf.capture.picture_files import write_png
+from devrf.capture.photos.picture_files import write_png
 from devrf.capture.scene import Scene
-from devrf.capture.video_writer import write_video
+from devrf.capture.video.video_writer import write_video
 
 pytestmark = pytest.mark.full
 

@@ -13,7 +13,7 @@ import pytest
 from tests.faults.conftest import TinyMaker
 from tests.faults.harness import LIMIT_S, Count, Tiny, children_of, go_on
 
-from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED, STOPPED
 
 CODES = {"SIGKILL": (FAILED, -signal.SIGKILL), "SIGTERM": (STOPPED, -signal.SIGTERM), "SIGINT": (STOPPED,)}
 TOO_MANY = 20  # kills for one that takes effect; 1.4 to 2.6 in the full suite

@@ -14,7 +14,7 @@ from tests.faults.harness import Count, Tiny, children_of, go_on
 from tests.faults.test_killed import start_from
 from tests.faults.tiny_stages import NAMES
 
-from devrf.pipelines.exit_codes import DONE, FAILED
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED
 
 pytestmark = pytest.mark.full
 SAID = {

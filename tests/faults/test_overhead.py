@@ -13,8 +13,8 @@ import pytest
 from tests.conftest import ExampleRun
 from tests.faults.harness import Tiny
 
-from devrf.capture.durable import sync, sync_tree
-from devrf.pipelines.exit_codes import DONE
+from devrf.capture.system.durable import sync, sync_tree
+from devrf.pipelines.terminal.exit_codes import DONE
 
 pytestmark = pytest.mark.full
 
@@ -33,7 +33,7 @@ def by_hand(request: pytest.FixtureRequest) -> None:
 
 def test_a_run_in_which_nothing_is_stale(example_run: ExampleRun, figures) -> None:
     overrides = ("--preset", "tiny", "--set", "output=run")
-    command = [sys.executable, "-m", "devrf.pipelines.cli", "run", str(example_run.scene), *overrides]
+    command = [sys.executable, "-m", "devrf.pipelines.cli.main", "run", str(example_run.scene), *overrides]
     wall, processor = [], []
     for _ in range(3):
         before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()

@@ -17,8 +17,8 @@ from tests.faults.harness import Count, finished, go_on
 from tests.faults.test_killed import start_from
 from tests.faults.tracing import lose_what_was_not_on_disk
 
-from devrf.pipelines.exit_codes import DONE
-from devrf.pipelines.runner.lock import LEASE_S
+from devrf.pipelines.run_folder.lock import LEASE_S
+from devrf.pipelines.terminal.exit_codes import DONE
 
 pytestmark = pytest.mark.full
 

@@ -23,25 +23,25 @@ from tests.refused import refused as raises
 
 from devrf.calibration.formats import find_calibration
 from devrf.calibration.rigs.rig import read_rig
-from devrf.capture import arrays, durable, limits
-from devrf.capture.arrays import ArrayError, npz_shapes, read_npy, read_npz
-from devrf.capture.errors import CaptureError, DevrfError, FlowError, InputError, ReconstructError
+from devrf.capture.colour.light_course import LightCourse
 from devrf.capture.formats.datasets import read_dataset
-from devrf.capture.formats.files import read_header, read_json
-from devrf.capture.formats.flow_files import read_flow_file
 from devrf.capture.formats.llff import read_rows
-from devrf.capture.light import LightCourse
-from devrf.capture.picture_files import read_pixels
-from devrf.capture.pictures import probe_picture, read_grey, read_picture
-from devrf.capture.timestamps import read_timestamps
-from devrf.capture.video import VideoReader
-from devrf.capture.video_writer import write_video
-from devrf.flow import weights_file
-from devrf.flow.weights_file import read_weights
+from devrf.capture.formats.parts.files import read_header, read_json
+from devrf.capture.formats.parts.flow_files import read_flow_file
+from devrf.capture.photos.picture_files import read_pixels
+from devrf.capture.photos.upright_pictures import probe_picture, read_grey, read_picture
+from devrf.capture.system import arrays, durable, limits
+from devrf.capture.system.arrays import ArrayError, npz_shapes, read_npy, read_npz
+from devrf.capture.system.errors import CaptureError, DevrfError, FlowError, InputError, ReconstructError
+from devrf.capture.video.reader import VideoReader
+from devrf.capture.video.timestamps import read_timestamps
+from devrf.capture.video.video_writer import write_video
+from devrf.flow.raft import weights_file
+from devrf.flow.raft.weights_file import read_weights
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.text import read_yaml
 from devrf.pipelines.stamps.stamp import read_stamp
-from devrf.reconstruct.model_io import FORMAT, load_rest
+from devrf.reconstruct.storage.model_io import FORMAT, load_rest
 
 LITTLE_MB = 700  # the libraries, and a few pictures; what these files claim is a hundred times that
 WIDE = 60_000

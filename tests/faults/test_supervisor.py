@@ -12,7 +12,7 @@ import pytest
 from tests.faults.harness import Tiny, children_of, ends
 from tests.waiting import wait_for
 
-from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED, STOPPED
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_a_signal_that_comes_as_python_leaves_changes_no_exit_code(sign: signal.
 def test_the_parent_is_small(tiny: Tiny) -> None:
     """When it forks, nothing heavy has been imported and there is one thread."""
     code = (
-        "import devrf.pipelines.cli, os, sys;"
+        "import devrf.pipelines.cli.main, os, sys;"
         "print(sorted({'torch', 'cv2', 'av', 'scipy', 'warp', 'pycolmap'} & sys.modules.keys()));"
         "from devrf.pipelines.runner.supervise import supervised;"
         "supervised(lambda: print(open(f'/proc/{os.getppid()}/status').read()))"

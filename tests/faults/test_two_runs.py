@@ -7,7 +7,7 @@ from tests.faults.conftest import TinyMaker
 from tests.faults.harness import Count, go_on
 from tests.faults.tiny_stages import NAMES
 
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT, DONE
 
 TOGETHER = 3
 

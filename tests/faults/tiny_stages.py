@@ -23,17 +23,17 @@ from pathlib import Path
 
 from tests.faults.tracing import install
 
-from devrf.capture.durable import sync
-from devrf.capture.errors import InputError
 from devrf.capture.measure import Measure
+from devrf.capture.system.durable import sync
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import STOPPED
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stage import Stage, StageContext
 from devrf.pipelines.stamps.stamp import stamp_content
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import STOPPED
 
 SCENE = """
 name: tiny

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import FlowError
+from devrf.capture.system.errors import FlowError
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import clip_flow, gaps_of
 from devrf.flow.dis import DisFlow

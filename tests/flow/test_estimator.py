@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.flow.consistency import both_ways, endpoint_error
 from devrf.flow.dis import DisFlow
 from devrf.flow.estimator import FlowEstimator, create_estimator, takes_contrast

@@ -12,8 +12,8 @@ from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene, write_scene
-from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame
+from devrf.capture.system.progress import no_progress
 from devrf.flow.dis import DisFlow
 from devrf.flow.store import read_flows
 from devrf.pipelines.config.scene import SceneConfig

@@ -8,12 +8,12 @@ import torch
 from tests.flow.test_estimator import middlebury_error, textured
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.flow.consistency import endpoint_error
-from devrf.flow.correlation import VOLUME_BYTES, CorrelationPyramid
-from devrf.flow.raft import RaftFlow
-from devrf.flow.raft_network import LARGE, SMALL, Raft
-from devrf.flow.raft_weights import load_raft
+from devrf.flow.raft.correlation import VOLUME_BYTES, CorrelationPyramid
+from devrf.flow.raft.network import LARGE, SMALL, Raft
+from devrf.flow.raft.raft import RaftFlow
+from devrf.flow.raft.weights import load_raft
 
 SIZES = {"small": SMALL, "large": LARGE}
 # number of tensors without doubles; of weights, as torchvision states

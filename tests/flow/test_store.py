@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import FlowError
+from devrf.capture.system.errors import FlowError
 from devrf.flow.store import BEST, pair_path, read_checks, read_flows, read_pair, write_pair
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from devrf.lab.bench.accuracy import ingest_speed
 from devrf.lab.bench.accuracy.cases import Cases
-from devrf.pipelines.console import Talk
+from devrf.pipelines.terminal.console import Talk
 
 
 @pytest.mark.full

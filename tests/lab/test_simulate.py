@@ -11,7 +11,7 @@ import pytest
 import yaml
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.lab.simulate.scenes.catalogue import Mesh
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.camera_rig import BOARD_SQUARES

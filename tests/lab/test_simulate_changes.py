@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devrf.capture.audio import read_sound
 from devrf.capture.camera import Camera
-from devrf.capture.video import VideoReader
+from devrf.capture.video.audio import read_sound
+from devrf.capture.video.reader import VideoReader
 from devrf.lab.simulate.render.renderer import Finish, Renderer
 from devrf.lab.simulate.scenes.catalogue import room
 from devrf.lab.simulate.scenes.objects import make_object

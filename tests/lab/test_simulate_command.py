@@ -6,14 +6,14 @@ import pytest
 from pydantic import BaseModel, ValidationError
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.lab import simulate_command
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
 from devrf.lab.simulate.protocol.forward import simulate_forward
 from devrf.lab.simulate.protocol.simulate_dataset import Made, simulate_dataset
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.simulate_session import simulate_session
-from devrf.pipelines.console import Talk
+from devrf.pipelines.terminal.console import Talk
 
 SHORT, CUT = SessionOptions(duration_s=0.2), SessionOptions(strip_m=0.02)
 

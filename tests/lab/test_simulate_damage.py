@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from devrf.calibration.truth import rotation_angle_deg
-from devrf.capture.audio import read_sound
 from devrf.capture.camera import Camera
+from devrf.capture.colour.srgb import linear_from_srgb
 from devrf.capture.scene import Scene
-from devrf.capture.srgb import linear_from_srgb
-from devrf.capture.video import VideoReader
+from devrf.capture.video.audio import read_sound
+from devrf.capture.video.reader import VideoReader
 from devrf.lab.simulate.render.sensor import ClipWriter
 from devrf.lab.simulate.session.damage import (
     Picture,

@@ -10,9 +10,9 @@ import pytest
 import yaml
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
 from devrf.capture.formats import read_dataset
 from devrf.capture.scene import load_image
+from devrf.capture.system.errors import InputError
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 

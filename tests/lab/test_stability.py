@@ -13,8 +13,8 @@ import pytest
 from tests.lab.conftest import SETTINGS, SMALL
 from tests.refused import refused
 
-from devrf.capture.errors import FlowError, InputError
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.scene_files import read_scene
+from devrf.capture.system.errors import FlowError, InputError
 from devrf.flow.store import read_flows
 from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.case import run_case
@@ -22,14 +22,14 @@ from devrf.lab.bench.stability.damage.intact import Damage, Intact
 from devrf.lab.bench.stability.points import points
 from devrf.lab.bench.stability.suite import run_stability
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
 from devrf.pipelines.health.judge import entries
+from devrf.pipelines.run_folder.lock import Lock
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.lock import Lock
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.terminal.console import Talk
 
 pytestmark = pytest.mark.full  # whole runs; what the suite is made of has tests of its own
 

@@ -11,26 +11,26 @@ from tests.refused import refused
 
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, read_rig, write_rig
 from devrf.calibration.truth import rotation_angle_deg
-from devrf.capture.errors import InputError
-from devrf.capture.formats.scene_files import read_scene, write_scene
+from devrf.capture.colour.srgb import linear_from_srgb
+from devrf.capture.formats.parts.scene_files import read_scene, write_scene
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
-from devrf.capture.picture_files import read_pixels, write_png
-from devrf.capture.progress import no_progress
+from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.scene import Scene
-from devrf.capture.srgb import linear_from_srgb
-from devrf.capture.video import VideoReader
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import no_progress
+from devrf.capture.video.reader import VideoReader
 from devrf.flow.store import read_pair, write_pair
 from devrf.lab.bench.stability.damage import between, configuration, raw_files
 from devrf.lab.bench.stability.damage.intact import Damage, DoesNotApply, Intact
 from devrf.lab.bench.stability.suite import run_stability
 from devrf.lab.simulate.render.sensor import ClipWriter
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.inputs.training_options import training_options
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES, canonical, deformation
-from devrf.pipelines.training_options import training_options
+from devrf.pipelines.terminal.console import Talk
 
 CLOCK = {"offset_s": 0.5, "drift_ppm": 3.0}
 

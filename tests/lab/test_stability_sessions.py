@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import InputError
 from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.damage.intact import DoesNotApply, Intact
 from devrf.lab.bench.stability.small_session import Simulated, is_rendered, rendered
@@ -22,7 +22,7 @@ from devrf.lab.simulate.session.camera_rig import fixed_cameras
 from devrf.lab.simulate_command import session_code, simulate
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import CaptureConfig
-from devrf.pipelines.console import Talk
+from devrf.pipelines.terminal.console import Talk
 
 REAL = (
     "{name: real, capture: {static: static.mp4, cameras: {cam0: a.mp4, cam1: b.mp4}, test_cameras: [cam1]}}"

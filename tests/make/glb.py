@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from devrf.capture.srgb import srgb_from_linear
+from devrf.capture.colour.srgb import srgb_from_linear
 
 KINDS = {5126: "<f4", 5123: "<u2", 5125: "<u4"}
 COLUMNS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}

@@ -8,14 +8,14 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.grids import vertices
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.movers import Movers
-from devrf.reconstruct.ndc import CUBE, Ndc
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shell import Shell
+from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.contracted_background import Shell
+from devrf.reconstruct.fields.grids import vertices
+from devrf.reconstruct.fields.motion import MotionField
+from devrf.reconstruct.fields.movers import Movers
+from devrf.reconstruct.fields.ndc import CUBE, Ndc
+from devrf.reconstruct.rendering.model import DynamicModel
 
 UNIT_BOX = torch.tensor([[-1.0] * 3, [1.0] * 3])
 AABB = torch.tensor([[-1.0, -0.8, -0.9], [1.0, 0.8, 0.9]])  # of the moving ball and of the moving parts

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.camera import Camera
-from devrf.capture.light import LightCourse, LightMeter
-from devrf.capture.look import Look
+from devrf.capture.colour.correction import Look
+from devrf.capture.colour.light_course import LightCourse, LightMeter
+from devrf.capture.colour.srgb import srgb_from_linear
 from devrf.capture.scene import PosedFrame
-from devrf.capture.srgb import srgb_from_linear
 
 Pictures = list[UInt8[np.ndarray, "h w 3"]]
 

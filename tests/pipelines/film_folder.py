@@ -15,11 +15,11 @@ from devrf.capture.camera import Camera
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame, Scene, Split
 from devrf.capture.view_axes import look_at
-from devrf.reconstruct.grids import vertices
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.model_io import FILE, save_motion, save_rest
-from devrf.reconstruct.movers import Movers
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.grids import vertices
+from devrf.reconstruct.fields.movers import Movers
+from devrf.reconstruct.rendering.model import DynamicModel
+from devrf.reconstruct.storage.model_io import FILE, save_motion, save_rest
 
 AABB = np.array([[-1.0, -1, -1], [1, 1, 1]])
 RADIUS = 0.4

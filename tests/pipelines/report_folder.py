@@ -9,8 +9,8 @@ import numpy as np
 from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
+from devrf.capture.colour.correction import Look
 from devrf.capture.formats import write_scene
-from devrf.capture.look import Look
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import BEST, pair_path, write_pair
 from devrf.pipelines.stages import stage_names

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from devrf.capture.measure import Measure
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice, Standing
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice, Standing
 from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import DONE
 
 ALL = ["first", "second", "other", "third"]
 CHAIN = ["first", "second", "third"]  # what the sweep changes

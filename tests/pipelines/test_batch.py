@@ -15,18 +15,19 @@ from tests.pipelines.tiny_scenes import tiny_scene
 from tests.refused import refused
 from tests.waiting import wait_for
 
-from devrf.capture.errors import InputError
-from devrf.pipelines.batch import command, scenes
+from devrf.capture.system.errors import InputError
+from devrf.pipelines.batch import batch_command as command
+from devrf.pipelines.batch import scenes
 from devrf.pipelines.batch import task as batch_task
-from devrf.pipelines.batch.rows import STOPPED_MESSAGE
+from devrf.pipelines.batch.scene_rows import STOPPED_MESSAGE
 from devrf.pipelines.batch.scenes import Options, look, stand
 from devrf.pipelines.batch.task import Task, run_task
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
-from devrf.pipelines.runner.plan import Standing
-from devrf.pipelines.runner.workspace import Workspace
+from devrf.pipelines.run_folder.workspace import Workspace
+from devrf.pipelines.runner.standing import Standing
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stamps import digests
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 
 LONG = 100_000  # iterations: it will not come to its end
 
@@ -245,7 +246,7 @@ def test_an_option_that_is_gone_says_what_to_do(devrf_process: Command, tmp_path
 def batch_in_course(folder: Path) -> subprocess.Popen:
     """A batch of two scenes that train for long."""
     scenes = [str(tiny_scene(folder, name, LONG).parent) for name in ("a", "b")]
-    words = ["-m", "devrf.pipelines.cli", "batch", *scenes, "--device", "cpu", "--jobs", "1"]
+    words = ["-m", "devrf.pipelines.cli.main", "batch", *scenes, "--device", "cpu", "--jobs", "1"]
     process = subprocess.Popen(
         [sys.executable, *words, "--out", str(folder / "o")], stderr=subprocess.PIPE, text=True
     )

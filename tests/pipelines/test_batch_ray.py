@@ -17,12 +17,12 @@ from tests.refused import refused
 from tests.waiting import wait_for
 
 import devrf
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.batch import ray_cluster
 from devrf.pipelines.batch.ray_cluster import RayCluster
-from devrf.pipelines.batch.rows import STOPPED_MESSAGE
+from devrf.pipelines.batch.scene_rows import STOPPED_MESSAGE
 from devrf.pipelines.batch.task import Task
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 
 pytest.importorskip("ray")
 SCENES = {"small": 4, "full": 16}
@@ -76,7 +76,16 @@ def nodes() -> Iterator[Nodes]:
 
 def start_batch(folder: Path, nodes: Nodes, names: list[str], iterations: int) -> subprocess.Popen:
     scenes = [str(tiny_scene(folder, name, iterations).parent) for name in names]
-    words = ["-m", "devrf.pipelines.cli", "batch", *scenes, "--engine", "ray", "--address", nodes.address]
+    words = [
+        "-m",
+        "devrf.pipelines.cli.main",
+        "batch",
+        *scenes,
+        "--engine",
+        "ray",
+        "--address",
+        nodes.address,
+    ]
     options = ["--device", "cpu", "--jobs", "2", "--out", str(folder / "out")]
     return subprocess.Popen(
         [sys.executable, *words, *options],

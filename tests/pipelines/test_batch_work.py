@@ -14,14 +14,14 @@ from rich.console import Console
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.pipelines.batch import local
-from devrf.pipelines.batch.board import Board
 from devrf.pipelines.batch.local import LocalPool
-from devrf.pipelines.batch.rows import SceneRow, exit_code
+from devrf.pipelines.batch.progress_table import Board
+from devrf.pipelines.batch.scene_rows import SceneRow, exit_code
 from devrf.pipelines.batch.scenes import Options, look, stand
 from devrf.pipelines.batch.task import Ended, Task
 from devrf.pipelines.batch.work import ATTEMPTS, Work
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED, STOPPED
 
 Run = Callable[[Task, Callable[[], bool], int | None], Ended]
 

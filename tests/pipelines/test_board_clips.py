@@ -8,13 +8,13 @@ import pytest
 from tests.refused import refused
 
 from devrf.calibration.boards.find import BoardSpec, BoardView
-from devrf.capture.errors import HealthError, InputError
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.capture.system.errors import HealthError, InputError
 from devrf.lab.bench.accuracy.simulated_boards import SIZE, SPEC, board_views
-from devrf.pipelines import board_clips
-from devrf.pipelines.board_clips import BoardClips
-from devrf.pipelines.joint_clips import read_joint_views
-from devrf.pipelines.stages import rig as rig_stage
+from devrf.pipelines.inputs import board_clips
+from devrf.pipelines.inputs.board_clips import BoardClips
+from devrf.pipelines.stages.rig import rig_stage
+from devrf.pipelines.stages.rig.joint_clips import read_joint_views
 
 TOLD = replace(SPEC, legacy="auto", inverted="auto")
 SETTLED = replace(SPEC, legacy=False, inverted=False)

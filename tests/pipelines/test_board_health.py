@@ -12,7 +12,7 @@ import pytest
 
 from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
 from devrf.lab.bench.accuracy.simulated_boards import SIZE, SPEC, board_views
-from devrf.pipelines.health.board import board_measures
+from devrf.pipelines.health.board_rows import board_measures
 from devrf.pipelines.health.judge import HealthRow, judge
 
 

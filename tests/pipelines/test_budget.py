@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from devrf.capture import raw, video
 from devrf.capture.frames import CameraFrames, FrameRecord
-from devrf.capture.pictures import write_picture
+from devrf.capture.orientation import Upright
+from devrf.capture.photos import raw
+from devrf.capture.photos.upright_pictures import write_picture
 from devrf.capture.session import CaptureSession
-from devrf.capture.upright import Upright
-from devrf.capture.video import VideoInfo
-from devrf.capture.video_writer import write_video
+from devrf.capture.video import reader as video
+from devrf.capture.video.reader import VideoInfo
+from devrf.capture.video.video_writer import write_video
 from devrf.pipelines.budget import at_once
 from devrf.pipelines.budget.at_once import (
     BASE,
@@ -28,8 +29,8 @@ from devrf.pipelines.budget.at_once import (
     swept_at_once,
 )
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.preflight import photos_too_large
 from devrf.pipelines.stage import Allowance, StageContext
+from devrf.pipelines.stages.preflight import photos_too_large
 
 GB = 10**9
 LARGE = 3840, 2160

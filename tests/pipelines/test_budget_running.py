@@ -10,14 +10,14 @@ import pytest
 from tests.pipelines.small_stages import job, small_stages, write
 
 from devrf.calibration.sweep.static_poses import SweepOptions
-from devrf.capture.progress import no_progress
+from devrf.capture.system.progress import no_progress
 from devrf.pipelines.budget import disk
 from devrf.pipelines.budget.disk import Room, room_of, watched
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.exit_codes import DONE, FAILED
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import Allowance, StageContext
 from devrf.pipelines.stages import static_poses
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED
 
 
 def configured(**sections: object) -> SceneConfig:

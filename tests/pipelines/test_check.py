@@ -12,19 +12,19 @@ from tests.make.clips import film
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.calibration.boards.spec import BoardSpec, dictionary
-from devrf.calibration.field.matching import features
-from devrf.calibration.field.overlap import overlap_of
-from devrf.capture.progress import no_progress
+from devrf.calibration.preview.matching import features
+from devrf.calibration.preview.overlap import overlap_of
+from devrf.capture.ingest.survey import Look, look_at
 from devrf.capture.rest import Rest
-from devrf.capture.sampled import picture_times, read_runs, spread_starts
 from devrf.capture.session import CaptureSession
-from devrf.capture.survey import Look, look_at
-from devrf.capture.video import VideoReader
-from devrf.capture.video_writer import write_video
-from devrf.pipelines.check.boards import board_measures
-from devrf.pipelines.check.clips import camera_measures, planned_frames, see_sweep
-from devrf.pipelines.check.clocks import clock_measures
-from devrf.pipelines.check.command import WORDS, left_out
+from devrf.capture.system.progress import no_progress
+from devrf.capture.video.reader import VideoReader
+from devrf.capture.video.sampled import picture_times, read_runs, spread_starts
+from devrf.capture.video.video_writer import write_video
+from devrf.pipelines.check.board_pictures import board_measures
+from devrf.pipelines.check.check_command import WORDS, left_out
+from devrf.pipelines.check.clip_pictures import camera_measures, planned_frames, see_sweep
+from devrf.pipelines.check.clock_preview import clock_measures
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.judge import judge
 

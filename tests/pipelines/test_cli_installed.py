@@ -4,8 +4,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from devrf.pipelines import cli_installed
-from devrf.pipelines.exit_codes import BAD_INPUT
+from devrf.pipelines.cli import installed as cli_installed
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT
 
 
 def _app() -> typer.Typer:

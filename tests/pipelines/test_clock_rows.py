@@ -11,26 +11,26 @@ import pytest
 from scipy.signal import fftconvolve
 from tests.judged import judged
 
+from devrf.calibration.clocks.cues import Extras
 from devrf.calibration.clocks.equations import Clock, Cue, Loop
-from devrf.calibration.clocks.evidence import Extras
 from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.geometry import Correction, GeometryCheck, refined
 from devrf.calibration.clocks.sync import SyncResult, synchronise
-from devrf.capture.audio import Sound
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameRecord
-from devrf.capture.picture_files import write_png
-from devrf.capture.progress import no_progress
-from devrf.capture.recorded import Recorded, timecode_s
+from devrf.capture.photos.picture_files import write_png
+from devrf.capture.system.progress import no_progress
+from devrf.capture.video.audio import Sound
+from devrf.capture.video.recorded import Recorded, timecode_s
 from devrf.lab.simulate.session.flash import RollingShutter, exposed
-from devrf.pipelines.clock_check import (
+from devrf.pipelines.health.judge import HealthRow, judge
+from devrf.pipelines.stages.scene.clock_check import (
     MIN_FRAMES,
     check_measures,
     clock_check,
     timed_pictures,
     unknown_clocks,
 )
-from devrf.pipelines.health.judge import HealthRow, judge
 from devrf.pipelines.stages.sync import measures
 
 RATE_HZ, FPS = 48_000, 30.0

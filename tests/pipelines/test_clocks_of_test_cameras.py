@@ -10,17 +10,17 @@ import pytest
 
 from devrf.calibration.clocks.equations import Clock
 from devrf.capture.scene import Scene
-from devrf.pipelines.clocks import clock_dict
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.health.training import moved_clock_measures
-from devrf.pipelines.report.run import RunFolder
-from devrf.pipelines.report.views import views
+from devrf.pipelines.health.training_rows import moved_clock_measures
+from devrf.pipelines.report.run_reader import RunFolder
+from devrf.pipelines.report.views_section import views
+from devrf.pipelines.run_folder.clocks import clock_dict
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import deformation, stage_names
 from devrf.pipelines.stages.deformation import unknown_test_clocks
-from devrf.reconstruct.as_trained import as_trained
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.view_offsets import ViewOffset
+from devrf.reconstruct.rendering.model import DynamicModel
+from devrf.reconstruct.sampling.retimed import as_trained
+from devrf.reconstruct.training.test_clocks import ViewOffset
 
 
 @pytest.mark.parametrize(

@@ -12,19 +12,19 @@ import yaml
 from tests.calibration import coloured_room as room
 from tests.conftest import Command
 
+from devrf.calibration.colour.colours import CameraColour, Colours, read_colours
 from devrf.calibration.colour.match import Apart
-from devrf.calibration.colour.result import CameraColour, Colours, read_colours
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.colour.correction import Look
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.frames import SWEEP, CameraFrames, FrameRecord, FrameSet
-from devrf.capture.look import Look
-from devrf.capture.picture_files import read_pixels, write_png
-from devrf.capture.progress import no_progress
+from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.scene import load_image
-from devrf.capture.video_writer import write_video
+from devrf.capture.system.progress import no_progress
+from devrf.capture.video.video_writer import write_video
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.health.colour import colour_measures
+from devrf.pipelines.health.colour_rows import colour_measures
 from devrf.pipelines.health.judge import HealthRow, judge
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import colour

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED
 
 PROGRAM = f"{sys.executable} -m devrf"
 LONG = "a" * 300

@@ -14,10 +14,10 @@ from tests.pipelines.compare_folders import CAMERA, VIEWS, edit_metrics, set_con
 from tests.pipelines.report_folder import write_json
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
-from devrf.pipelines.compare.command import compare, compare_runs
-from devrf.pipelines.compare.runs import find_runs
-from devrf.pipelines.console import Talk
+from devrf.capture.system.errors import InputError
+from devrf.pipelines.compare.compare_command import compare, compare_runs
+from devrf.pipelines.compare.compared_runs import find_runs
+from devrf.pipelines.terminal.console import Talk
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +231,7 @@ def test_a_full_disk_is_said_and_leaves_no_half_file(
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("devrf.pipelines.compare.command.write_json", full)
+    monkeypatch.setattr("devrf.pipelines.compare.compare_command.write_json", full)
     with refused("folder-unwritable", tmp_path, "No space left"):
         compare(Talk("quiet"), [made / "one", made / "two"], tmp_path, None)
     assert not list(tmp_path.glob("*.tmp")) and not list(tmp_path.glob(".*.tmp"))

@@ -6,8 +6,8 @@ import pytest
 import torch
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
-from devrf.pipelines.device import resolve_device
+from devrf.capture.system.errors import InputError
+from devrf.pipelines.inputs.device import resolve_device
 
 
 @pytest.fixture

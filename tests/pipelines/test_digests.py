@@ -8,11 +8,11 @@ import pytest
 import typer
 from tests.pipelines.small_stages import job, small_stages
 
-from devrf.pipelines.cli import status
-from devrf.pipelines.exit_codes import BAD_INPUT
+from devrf.pipelines.cli.main import status
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stamps import digests
 from devrf.pipelines.stamps.digests import Digests
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT
 
 
 def test_a_digest_is_remembered_only_of_a_file_at_rest(

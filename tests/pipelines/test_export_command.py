@@ -16,12 +16,12 @@ from devrf.calibration.formats import RIG_WRITERS
 from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.rig import Rig, read_rig
 from devrf.capture.formats import WRITERS, read_dataset, write_dataset, write_scene
-from devrf.capture.formats.export import MARKER, README
-from devrf.capture.picture_files import read_pixels
+from devrf.capture.formats.parts.export import MARKER, README
+from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.scene import Scene
 from devrf.pipelines.config.gone import GONE
-from devrf.pipelines.console import Talk
-from devrf.pipelines.export.command import export
+from devrf.pipelines.export.export_command import export
+from devrf.pipelines.terminal.console import Talk
 
 
 @pytest.fixture

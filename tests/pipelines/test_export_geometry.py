@@ -18,15 +18,15 @@ from tests.make.glb import read_glb
 from tests.make.models import COLOUR, KEYS, RADIUS, TRAVEL, moving_ball, rigid_ball
 from tests.refused import refused
 
-from devrf.capture.errors import InputError, ReconstructError
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import Scene
-from devrf.pipelines.cli import app
-from devrf.pipelines.console import Talk
-from devrf.pipelines.export.command import export
+from devrf.capture.system.errors import InputError, ReconstructError
+from devrf.pipelines.cli.main import app
+from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.formats import FORMATS
 from devrf.pipelines.export.request import Options
-from devrf.reconstruct.model_io import FILE, save_deformation, save_motion, save_rest
+from devrf.pipelines.terminal.console import Talk
+from devrf.reconstruct.storage.model_io import FILE, save_deformation, save_motion, save_rest
 from devrf.reconstruct.tracking.rigid import motion_of
 
 UNIT = 1 / 1.25  # of the world in the box frame, as odd_scene has it

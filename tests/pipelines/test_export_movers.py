@@ -27,10 +27,10 @@ from tests.make.models import (
 )
 from tests.pipelines.trained_run import SCALE, write_trained
 
-from devrf.pipelines.console import Talk
-from devrf.pipelines.export.command import export
+from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.request import Options
-from devrf.reconstruct.shading import Shading
+from devrf.pipelines.terminal.console import Talk
+from devrf.reconstruct.fields.shading import Shading
 
 TIMES = (REST, 1.0)
 Shown = Iterator[tuple[float, np.ndarray, np.ndarray]]

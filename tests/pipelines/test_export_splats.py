@@ -16,13 +16,13 @@ from tests.pipelines.trained_run import SCALE, write_trained
 from tests.refused import refused
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.formats.export import MARKER
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import STOPPED
-from devrf.pipelines.export.command import export
+from devrf.capture.formats.parts.export import MARKER
+from devrf.capture.system.errors import InputError
+from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.player import _told
 from devrf.pipelines.export.request import Options
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import STOPPED
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_a_stale_run_is_told(devrf: Callable, tmp_path: Path) -> None:
 @pytest.mark.parametrize("sign", [pytest.param(signal.SIGINT, marks=pytest.mark.full), signal.SIGTERM])
 def test_a_stopped_export_leaves_nothing_and_says_so(tmp_path: Path, sign: signal.Signals) -> None:
     scene = write_trained(tmp_path)
-    command = [sys.executable, "-m", "devrf.pipelines.cli", "export", str(scene), "--format", "splat"]
+    command = [sys.executable, "-m", "devrf.pipelines.cli.main", "export", str(scene), "--format", "splat"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         begun, until = tmp_path / "run/export/.new-splat" / MARKER, time.monotonic() + 60
         while not begun.exists() and time.monotonic() < until:

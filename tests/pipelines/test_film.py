@@ -17,20 +17,20 @@ from tests.pipelines.film_folder import RADIUS, WORLD_PER_BOX, halves_model, wri
 from tests.refused import refused
 from tests.waiting import wait_for
 
-from devrf.capture.errors import InputError
-from devrf.capture.formats.export import MARKER
-from devrf.capture.progress import no_progress
-from devrf.pipelines import run_command
+from devrf.capture.formats.parts.export import MARKER
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import no_progress
 from devrf.pipelines.budget import memory
+from devrf.pipelines.cli import run_command
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
-from devrf.pipelines.film import command
-from devrf.pipelines.film.plan import Asked
+from devrf.pipelines.film import film_command as command
+from devrf.pipelines.film.film_plan import Asked
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import render
-from devrf.reconstruct.film import make
-from devrf.reconstruct.model_io import save_deformation
+from devrf.pipelines.terminal.console import Talk
+from devrf.reconstruct.film import film_maker
+from devrf.reconstruct.storage.model_io import save_deformation
 
 SMALL = {"size": "48x36", "fps": 4.0, "seconds": 1.0}
 
@@ -152,7 +152,7 @@ def test_a_stopped_film_leaves_nothing_and_an_earlier_one_stands(scene: Path) ->
     film(scene, out=out)
     before = _tree(out)
     options = ["--path", "spiral", "--size", "200x150", "--seconds", "30", "--fps", "8", "--out", str(out)]
-    program = [sys.executable, "-m", "devrf.pipelines.cli", "render", str(scene), *options]
+    program = [sys.executable, "-m", "devrf.pipelines.cli.main", "render", str(scene), *options]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         part = out.with_name(".new-mine")
         wait_for(lambda: (part / "colour.mp4").exists(), process=process)
@@ -254,7 +254,7 @@ def test_a_full_disk_is_told_and_leaves_an_earlier_film(scene: Path, monkeypatch
     def full(path: Path, picture: np.ndarray) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(make, "write_png", full)
+    monkeypatch.setattr(film_maker, "write_png", full)
     with refused("folder-unwritable", folder, "No space left on device") as error:
         film(scene, path="spiral", format="png")
     assert not isinstance(error.value, InputError)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from devrf.flow.checks import FlowChecks
-from devrf.pipelines.health.flow import flow_measures
+from devrf.pipelines.health.flow_rows import flow_measures
 from devrf.pipelines.health.judge import judge
 
 HEALTHY = FlowChecks(

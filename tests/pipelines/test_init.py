@@ -14,19 +14,19 @@ from tests.refused import refused
 
 from devrf.calibration.boards.guess import BoardGuess, board_pictures, guess_board
 from devrf.calibration.boards.spec import BoardSpec, dictionary
-from devrf.calibration.field.steady import Steadiness, steadiness
-from devrf.capture.errors import InputError
-from devrf.capture.pictures import read_grey
-from devrf.capture.survey import Look
-from devrf.capture.video import probe_video
-from devrf.capture.video_writer import write_video
+from devrf.calibration.preview.stability import Steadiness, steadiness
+from devrf.capture.ingest.survey import Look
+from devrf.capture.photos.upright_pictures import read_grey
+from devrf.capture.system.errors import InputError
+from devrf.capture.video.reader import probe_video
+from devrf.capture.video.video_writer import write_video
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
 from devrf.pipelines.init.calibrations import take_calibration
-from devrf.pipelines.init.command import init
-from devrf.pipelines.init.found import Roles, Seen
+from devrf.pipelines.init.init_command import init
+from devrf.pipelines.init.material import Roles, Seen
 from devrf.pipelines.init.roles import guess_roles
-from devrf.pipelines.init.yaml import scene_yaml
+from devrf.pipelines.init.scene_yaml import scene_yaml
+from devrf.pipelines.terminal.console import Talk
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
 STANDS = Steadiness(True, 1e-4, 1.0)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from tests.conftest import Command
 
-from devrf.calibration.flicker import Change, Flicker, LightFound, judge_light
-from devrf.capture.light import LightCourse
-from devrf.capture.raw_set import develop_set, read_raw_sidecar
-from devrf.capture.srgb import srgb_from_linear
-from devrf.capture.video_writer import write_video
+from devrf.calibration.colour.flicker import Change, Flicker, LightFound, judge_light
+from devrf.capture.colour.light_course import LightCourse
+from devrf.capture.colour.srgb import srgb_from_linear
+from devrf.capture.photos.raw_set import develop_set, read_raw_sidecar
+from devrf.capture.video.video_writer import write_video
 from devrf.lab.simulate.session.dng import mosaic, write_dng
 from devrf.pipelines.health.judge import HealthRow, judge
-from devrf.pipelines.health.light import changes_alike, clip_measures, exposure_measures, raw_measures
+from devrf.pipelines.health.light_rows import changes_alike, clip_measures, exposure_measures, raw_measures
 
 LEVELS = {"black": (512, 512, 512, 512), "white": 16383}
 

@@ -13,15 +13,15 @@ import pytest
 from tests.refused import refused
 from tests.waiting import wait_for
 
-from devrf.capture.errors import InputError
-from devrf.pipelines.runner import lock
-from devrf.pipelines.runner.lock import LOCK, Lock
-from devrf.pipelines.runner.workspace import Workspace
+from devrf.capture.system.errors import InputError
+from devrf.pipelines.run_folder import lock
+from devrf.pipelines.run_folder.lock import LOCK, Lock
+from devrf.pipelines.run_folder.workspace import Workspace
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from devrf.pipelines.runner.lock import Lock
+from devrf.pipelines.run_folder.lock import Lock
 Lock(Path(sys.argv[1])).take()
 print("held", flush=True)
 time.sleep(60)

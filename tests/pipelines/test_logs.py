@@ -16,15 +16,15 @@ from tests.faults.harness import Tiny
 from tests.faults.tiny_stages import prepare
 from tests.pipelines.small_stages import ALL, job, small_stages, write
 
-from devrf.capture.errors import CaptureError
-from devrf.pipelines import console, logs
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE, FAILED
+from devrf.capture.system.errors import CaptureError
 from devrf.pipelines.health.judge import HealthRow
-from devrf.pipelines.logs import EVENTS_FILE, LOG_FILE, Events
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.tables import print_table
+from devrf.pipelines.terminal import console, logs
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED
+from devrf.pipelines.terminal.logs import EVENTS_FILE, LOG_FILE, Events
+from devrf.pipelines.terminal.tables import print_table
 
 
 def events_of(run_dir: Path) -> list[dict]:
@@ -133,7 +133,7 @@ def test_a_torn_line_is_cut_off(tmp_path: Path, torn: str) -> None:
 
 def test_killed_at_any_moment_only_the_last_line_may_be_torn(tmp_path: Path) -> None:
     program = (
-        "import sys\nfrom pathlib import Path\nfrom devrf.pipelines.logs import Events\n"
+        "import sys\nfrom pathlib import Path\nfrom devrf.pipelines.terminal.logs import Events\n"
         "events = Events(Path(sys.argv[1]), 'r')\n"
         "while True: events.write('row', text='x' * 5000)"
     )

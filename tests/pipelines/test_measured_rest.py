@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from tests.calibration import coloured_room as room
 
-from devrf.calibration.motion_masks import MotionMask
+from devrf.calibration.extent.motion_masks import MotionMask
 from devrf.calibration.sweep.static_poses import SweepModel
-from devrf.capture.picture_files import write_png
+from devrf.capture.photos.picture_files import write_png
 from devrf.capture.rest import Rest
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.health.judge import HealthRow, judge
-from devrf.pipelines.measured_rest import rest_time
+from devrf.pipelines.stages.scene.measured_rest import rest_time
 
 COLUMNS = slice(140, 340)  # of the picture, in which something moves
 ALWAYS = (0.0, 1.0)  # both cameras film

@@ -7,14 +7,14 @@ import pytest
 from tests.conftest import Command
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
 from devrf.capture.formats.datasets import read_dataset, write_dataset
-from devrf.capture.formats.files import LONGEST_NAME
+from devrf.capture.formats.parts.files import LONGEST_NAME
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import CAMERA_NAME
-from devrf.pipelines.runner.own_folder import check_run_folder
+from devrf.pipelines.run_folder.own_folder import check_run_folder
 from devrf.pipelines.stages import stage_names
 
 

@@ -13,13 +13,13 @@ from tests.conftest import Command
 from tests.pipelines.report_folder import NASTY, write_json, write_run
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
-from devrf.pipelines.cli_results import _report_is_left
-from devrf.pipelines.report import page as report_page
-from devrf.pipelines.report.charts import Series, line_chart
-from devrf.pipelines.report.page import SECTIONS, build_report
-from devrf.pipelines.report.pictures import flow_picture
-from devrf.pipelines.report.run import RunFolder, at
+from devrf.capture.system.errors import InputError
+from devrf.pipelines.cli.results import _report_is_left
+from devrf.pipelines.report import report_page
+from devrf.pipelines.report.data_uris import flow_picture
+from devrf.pipelines.report.report_page import SECTIONS, build_report
+from devrf.pipelines.report.run_reader import RunFolder, at
+from devrf.pipelines.report.svg_charts import Series, line_chart
 from devrf.pipelines.stages import STAGES, stage_names
 
 ALWAYS = {key for key, *_ in SECTIONS}

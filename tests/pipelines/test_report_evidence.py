@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from devrf.pipelines.report.calibration import calibration
+from devrf.pipelines.report.calibration_section import calibration
 from devrf.pipelines.report.curves import clocks
-from devrf.pipelines.report.page import build_report
-from devrf.pipelines.report.run import RunFolder
+from devrf.pipelines.report.report_page import build_report
+from devrf.pipelines.report.run_reader import RunFolder
 
 STAGES = ("ingest", "static_poses", "sync", "rig", "scene", "evaluate")
 RESIDUALS = [[10.0, 20.0, 0.1, -0.2], [300.0, 200.0, -0.3, 0.4]]

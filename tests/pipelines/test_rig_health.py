@@ -24,7 +24,7 @@ from devrf.lab.bench.accuracy.synthetic_rig import (
     synthetic_views,
 )
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.health.rig import (
+from devrf.pipelines.health.rig_rows import (
     bump_measures,
     graph_measures,
     joint_measures,

@@ -22,17 +22,17 @@ from tests.pipelines.small_stages import ALL, executed, job, small_stages, stage
 from tests.refused import refused
 from tests.waiting import wait_for
 
-from devrf.capture.errors import CaptureError, HealthError, InputError, OutOfTime
 from devrf.capture.measure import Measure
-from devrf.pipelines.cli import render
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
-from devrf.pipelines.run_command import say_where
-from devrf.pipelines.runner import plan
+from devrf.capture.system.errors import CaptureError, HealthError, InputError, OutOfTime
+from devrf.pipelines.cli.main import render
+from devrf.pipelines.cli.run_command import say_where
+from devrf.pipelines.run_folder.outcomes import error_path
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import check_choice, dry_run
+from devrf.pipelines.runner.run_state import check_choice, dry_run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 
 
 def test_from_until_force(folder: Path) -> None:
@@ -54,7 +54,7 @@ def test_from_without_what_it_reads_is_refused(folder: Path, capsys: pytest.Capt
     executed(folder, choice=Choice(last="first"))
     assert execute(job(folder, small_stages(), choice=third)) == BAD_INPUT
     assert "--from second" in capsys.readouterr().err
-    assert not plan.error_path(folder / "run", "third").exists()
+    assert not error_path(folder / "run", "third").exists()
 
 
 def test_only_what_is_fresh_is_named(folder: Path, capsys: pytest.CaptureFixture) -> None:
@@ -214,7 +214,7 @@ def test_a_failure_is_remembered_until_it_is_mended(folder: Path) -> None:
     found = run.standings()
     assert [now.state for now in found] == ["fresh", "missing", "missing", "missing"]
     assert found[1].error == "second: damaged"
-    remembered = json.loads(plan.error_path(run.run_dir, "second").read_text())
+    remembered = json.loads(error_path(run.run_dir, "second").read_text())
     assert remembered == {"message": "second: damaged", "code": FAILED, "error": "clip-damaged"}
     assert "Traceback" in (folder / "run/devrf.log").read_text()
     executed(folder)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from tests.judged import judged, named
 
-from devrf.calibration.bounds import scene_bounds
 from devrf.calibration.clocks.spans import span_of
+from devrf.calibration.extent.bounds import scene_bounds
 from devrf.capture.camera import Camera
 from devrf.capture.formats import write_dataset
-from devrf.capture.formats.colmap_model import ModelImage, read_model, write_model
-from devrf.capture.formats.files import read_json, write_json
-from devrf.capture.progress import no_progress
+from devrf.capture.formats.colmap.colmap_model import ModelImage, read_model, write_model
+from devrf.capture.formats.parts.files import read_json, write_json
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.captured_scene import unused, without_single_pictures
+from devrf.capture.system.progress import no_progress
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.judge import HealthRow, judge
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages import scene as stage
+from devrf.pipelines.stages.scene import scene_stage as stage
+from devrf.pipelines.stages.scene.captured_scene import unused, without_single_pictures
 
 
 def rows_of(dataset_format: str, folder: Path) -> dict[str, HealthRow]:

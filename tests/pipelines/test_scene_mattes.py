@@ -12,24 +12,24 @@ import pytest
 from tests.judged import fired, judged, named
 from tests.refused import refused
 
-from devrf.calibration.bounds import Bounds, scene_bounds
+from devrf.calibration.colour.colours import Colours
 from devrf.calibration.colour.match import Apart
-from devrf.calibration.colour.result import Colours
-from devrf.calibration.motion_masks import MotionMask
+from devrf.calibration.extent.bounds import Bounds, scene_bounds
+from devrf.calibration.extent.motion_masks import MotionMask
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.capture import view_axes
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CaptureError
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.scene import Scene, load_image
-from devrf.pipelines import captured_scene
+from devrf.capture.system.errors import CaptureError
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.health.box import box_measures
+from devrf.pipelines.health.box_rows import box_measures
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages import scene as stage
+from devrf.pipelines.stages.scene import captured_scene
+from devrf.pipelines.stages.scene import scene_stage as stage
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 70.0
 BALL = np.array([0.1, 0.0, 0.05])
@@ -243,7 +243,7 @@ def test_a_subject_that_leaves_the_box_is_counted(tmp_path: Path, monkeypatch: p
 
 
 def _mattes(session: Session, capture: dict[str, object], scene: Scene) -> Any:
-    from devrf.pipelines.scene_mattes import scene_mattes
+    from devrf.pipelines.stages.scene.scene_mattes import scene_mattes
 
     config = SceneConfig.model_validate({"name": "ball", "capture": capture})
     context = StageContext(
@@ -306,9 +306,9 @@ def session_frames(cameras: list[Camera]) -> list[Any]:
 
 def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Session) -> None:
     """The box tightens around the ball, corners stay white, and the ball is where it is."""
-    from devrf.reconstruct.model import DynamicModel, render_view
     from devrf.reconstruct.options import CanonicalOptions
-    from devrf.reconstruct.train_canonical import train_canonical
+    from devrf.reconstruct.rendering.model import DynamicModel, render_view
+    from devrf.reconstruct.training.train_canonical import train_canonical
 
     session.write_mattes("mattes", "static", "cam0")
     scene = session.scene("mattes")[0]
@@ -327,8 +327,8 @@ def test_a_scene_with_mattes_is_learned_before_a_plain_background(session: Sessi
 
 
 def test_the_report_shows_them(session: Session, tmp_path: Path) -> None:
-    from devrf.pipelines.report.capture import capture
-    from devrf.pipelines.report.run import RunFolder
+    from devrf.pipelines.report.capture_section import capture
+    from devrf.pipelines.report.run_reader import RunFolder
 
     def shown(scene: Scene) -> list[tuple[str, list[bool]]]:
         run = RunFolder(tmp_path, ("scene",), {})

@@ -13,9 +13,9 @@ from devrf.capture.formats import read_dataset
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import ReconstructConfig, SceneConfig
+from devrf.pipelines.inputs.training_options import training_options
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES, stage_names
-from devrf.pipelines.training_options import training_options
 
 CONTRACT = (
     "ingest static_poses sync rig colour scene flow canonical deformation evaluate render report".split()  # noqa: SIM905

@@ -12,12 +12,12 @@ import pytest
 from tests.judged import judged, named
 from tests.refused import refused
 
-from devrf.capture.audio import Sound, write_wav
-from devrf.capture.errors import CaptureError
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
 from devrf.capture.measure import Measure
-from devrf.capture.progress import no_progress
 from devrf.capture.session import CaptureSession
+from devrf.capture.system.errors import CaptureError
+from devrf.capture.system.progress import no_progress
+from devrf.capture.video.audio import Sound, write_wav
 from devrf.pipelines.health.judge import HealthRow, judge
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import ingest, sync

@@ -13,15 +13,15 @@ from tests.pipelines.small_stages import ALL, CHAIN, executed, job, small_stages
 from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stamps import digests
 from devrf.pipelines.stamps.stamp import stamp_content
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import DONE
 
 
 @pytest.fixture

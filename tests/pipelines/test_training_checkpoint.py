@@ -9,21 +9,21 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from devrf.pipelines.budget.training_memory import TrainingMemory, fit_to_memory
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE, FAILED, STOPPED
+from devrf.pipelines.run_folder.training_checkpoint import training_checkpoint
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stage import Allowance, Stage, StageContext
-from devrf.pipelines.training_checkpoint import training_checkpoint
-from devrf.pipelines.training_memory import TrainingMemory, fit_to_memory
-from devrf.reconstruct.checkpoint import Checkpoint, Saved
-from devrf.reconstruct.footprint import SceneSize, footprint
-from devrf.reconstruct.memory_fit import Limits
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import DONE, FAILED, STOPPED
+from devrf.reconstruct.adapt.footprint import SceneSize, footprint
+from devrf.reconstruct.adapt.memory_fit import Limits
 from devrf.reconstruct.options import CanonicalOptions
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.storage.checkpoint import Checkpoint, Saved
+from devrf.reconstruct.storage.training_log import TrainingLog
 
 OPTIONS = CanonicalOptions(resolution=8, iterations=3, rays=16)
 SCENE = "{name: small, output: run, capture: {static: static.mp4}, reconstruct: {seed: 1}}"

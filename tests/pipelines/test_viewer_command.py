@@ -47,7 +47,7 @@ def test_without_viser_it_says_how_to_get_it(tmp_path: Path) -> None:
     run = ViewerRun(tmp_path)
     (tmp_path / "viser.py").write_text("raise ModuleNotFoundError('no viser', name='viser')")
     result = subprocess.run(
-        [sys.executable, "-m", "devrf.pipelines.cli", "view", str(run.scene_yaml)],
+        [sys.executable, "-m", "devrf.pipelines.cli.main", "view", str(run.scene_yaml)],
         capture_output=True, text=True, timeout=60, env=os.environ | {"PYTHONPATH": str(tmp_path)},
     )  # fmt: skip
     assert result.returncode == 2
@@ -62,7 +62,7 @@ def test_it_reads_only_and_ends_at_once(odd_scene: Scene, tmp_path: Path, sign: 
     run.rest(random_model().rest)
     before = _tree(run.run_dir)
     host = "0.0.0.0" if sign == signal.SIGTERM else "127.0.0.1"
-    command = [sys.executable, "-u", "-m", "devrf.pipelines.cli", "view", str(run.scene_yaml)]
+    command = [sys.executable, "-u", "-m", "devrf.pipelines.cli.main", "view", str(run.scene_yaml)]
     with socket.create_server((host, 0)) as probe:
         port = probe.getsockname()[1]
     out = tmp_path / "said"

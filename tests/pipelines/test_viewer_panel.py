@@ -9,7 +9,7 @@ from tests.pipelines.film_folder import halves_model
 from tests.pipelines.trained_run import boxed_model
 
 from devrf.pipelines.viewer.controls import Controls, some_of
-from devrf.pipelines.viewer.site import middle
+from devrf.pipelines.viewer.server import middle
 
 
 def panel(value: float, at_rest: bool = False, moves: bool = True) -> Any:

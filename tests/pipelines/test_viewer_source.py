@@ -15,12 +15,12 @@ from tests.refused import refused
 from tests.waiting import wait_for
 
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.runner.lock import LEASE_S, Lock, is_held
-from devrf.pipelines.viewer.site import Site
+from devrf.pipelines.run_folder.lock import LEASE_S, Lock, is_held
+from devrf.pipelines.viewer.run_status import standing
+from devrf.pipelines.viewer.server import Site
 from devrf.pipelines.viewer.source import Found, Loaded, load, look, progress
-from devrf.pipelines.viewer.standing import standing
-from devrf.reconstruct.model import render_view
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.rendering.model import render_view
 
 
 @pytest.fixture

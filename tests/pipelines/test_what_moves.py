@@ -3,7 +3,7 @@
 import numpy as np
 
 from devrf.calibration.intrinsics import guess
-from devrf.pipelines.what_moves import FilmedClip
+from devrf.pipelines.stages.scene.filmed_clips import FilmedClip
 
 CAMERA = guess(120, 90).at(np.eye(3, 4))
 

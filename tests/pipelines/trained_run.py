@@ -12,8 +12,8 @@ from tests.reconstruct.conftest import around, look_at
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import PosedFrame
 from devrf.pipelines.stamps.stamp import STAMP
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.model_io import FILE, save_deformation, save_rest
+from devrf.reconstruct.rendering.model import DynamicModel
+from devrf.reconstruct.storage.model_io import FILE, save_deformation, save_rest
 
 SCALE = 2.0  # box units in a metre
 

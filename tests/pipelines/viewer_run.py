@@ -8,10 +8,10 @@ from tests.reconstruct.conftest import TRAVEL
 
 from devrf.capture.formats import write_scene
 from devrf.capture.scene import Scene
-from devrf.reconstruct.checkpoint import Checkpoint, Saved
-from devrf.reconstruct.model_io import FILE, save_motion, save_rest
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.motion import MotionField
+from devrf.reconstruct.storage.checkpoint import Checkpoint, Saved
+from devrf.reconstruct.storage.model_io import FILE, save_motion, save_rest
 
 SCENE_YAML = "name: ball <b>\noutput: run\npreset: tiny\ndataset: {format: devrf, path: data}\n"
 KEYS = 5

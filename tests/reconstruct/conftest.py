@@ -13,11 +13,11 @@ from tests.make.scenes import scene_of
 from devrf.capture import view_axes
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.motion import MotionField
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.options import CanonicalOptions
-from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.train_canonical import train_canonical
+from devrf.reconstruct.rendering.rays import RaySet
+from devrf.reconstruct.training.train_canonical import train_canonical
 
 RADIUS = 0.45
 TRAVEL = np.array([0.3, 0.0, 0.15])  # of the centre, from time 0 to time 1, box units

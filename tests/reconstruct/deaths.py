@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import pytest
 
-from devrf.reconstruct.checkpoint import Checkpoint, Saved
+from devrf.reconstruct.storage.checkpoint import Checkpoint, Saved
 
 T = TypeVar("T")
 

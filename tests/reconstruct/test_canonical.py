@@ -8,12 +8,13 @@ import torch
 from tests.make.models import canonical
 
 from devrf.capture.scene import SparsePoints
-from devrf.reconstruct.canonical import EMPTY, Canonical, shift_for
-from devrf.reconstruct.grids import grid_shape, grown, upsample, vertices, voxel_size
-from devrf.reconstruct.hull import box_of, visual_hull
+from devrf.reconstruct.adapt.background_reach import FARTHEST_REACH, reach_of
+from devrf.reconstruct.adapt.hull import box_of, visual_hull
+from devrf.reconstruct.fields.canonical import EMPTY, Canonical, shift_for
+from devrf.reconstruct.fields.contracted_background import CUBE, REACH, Shell
+from devrf.reconstruct.fields.grids import grid_shape, grown, upsample, vertices, voxel_size
 from devrf.reconstruct.options import PRESETS, preset
-from devrf.reconstruct.render import Grads, Rendered, render_rest
-from devrf.reconstruct.shell import CUBE, FARTHEST_REACH, REACH, Shell, reach_of
+from devrf.reconstruct.rendering.render import Grads, Rendered, render_rest
 
 AABB = torch.tensor([[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]])
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from devrf.capture.scene import Scene, SparsePoints
-from devrf.reconstruct.carving import carve, trained_lines
+from devrf.reconstruct.adapt.carving import carve, trained_lines
 from devrf.reconstruct.kernels.background import contract
 
 AABB = torch.tensor([[-1.0, -1, -1], [1, 1, 1]])

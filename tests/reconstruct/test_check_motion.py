@@ -14,9 +14,8 @@ from tests.make.models import NDC, canonical, still
 from tests.reconstruct.conftest import true_motion
 
 from devrf.capture.scene import PosedFrame
-from devrf.pipelines.health.training import in_motion_measures
-from devrf.reconstruct.as_trained import retimed
-from devrf.reconstruct.check_motion import (
+from devrf.pipelines.health.training_rows import in_motion_measures
+from devrf.reconstruct.evaluation.check_motion import (
     FEWEST_PICTURES,
     SHIFTS,
     MotionFit,
@@ -24,11 +23,12 @@ from devrf.reconstruct.check_motion import (
     better_shift,
     check_motion,
 )
-from devrf.reconstruct.clocks import error_curves
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.ndc import CUBE
-from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.evaluation.error_curves import error_curves
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.ndc import CUBE
+from devrf.reconstruct.rendering.model import DynamicModel
+from devrf.reconstruct.rendering.rays import RaySet
+from devrf.reconstruct.sampling.retimed import retimed
 
 GAP = 0.25  # from one of the ball's pictures to the next
 
@@ -172,7 +172,7 @@ def test_a_camera_that_moves_is_not_asked_but_sees(ball, true: DynamicModel, mon
             return error_curves(*arguments)
 
     true_box_at = DynamicModel.box_at
-    monkeypatch.setattr("devrf.reconstruct.check_motion.error_curves", counted)
+    monkeypatch.setattr("devrf.reconstruct.evaluation.check_motion.error_curves", counted)
     fits = check_motion(replace(ball.scene, dynamic=tuple(walks(f) for f in ball.scene.dynamic)), true)
     assert list(fits) == ["cam0", "cam1"] and len(rendered) == 2 * 5
     assert fits["cam1"].alone is not None and fits["cam1"].alone < 0.15

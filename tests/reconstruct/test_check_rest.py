@@ -10,10 +10,10 @@ from tests.judged import fired, judged
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.lab.simulate.session.damage import zoomed
-from devrf.pipelines.health.at_rest import at_rest_measures
-from devrf.reconstruct.check_rest import RestCheck, RestFit, check_rest
-from devrf.reconstruct.displacement import Displacement
-from devrf.reconstruct.rest_model import RestModel
+from devrf.pipelines.health.at_rest_rows import at_rest_measures
+from devrf.reconstruct.evaluation.check_rest import RestCheck, RestFit, check_rest
+from devrf.reconstruct.evaluation.displacement import Displacement
+from devrf.reconstruct.fields.canonical_model import RestModel
 
 
 def words(scene: Scene, rest: RestModel) -> dict[str, str]:

@@ -13,7 +13,7 @@ from tests.make.models import moving_ball
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.pipelines.health.at_rest import (
+from devrf.pipelines.health.at_rest_rows import (
     LEAST_TEXTURED,
     MOST_ODD,
     MOST_OF_PLATE,
@@ -22,9 +22,9 @@ from devrf.pipelines.health.at_rest import (
     at_rest_measures,
 )
 from devrf.pipelines.health.judge import HealthRow, judge
-from devrf.reconstruct.aligned import aligned
-from devrf.reconstruct.check_rest import PlateFit, RestCheck, RestFit, check_rest
-from devrf.reconstruct.displacement import Displacement
+from devrf.reconstruct.evaluation.aligned import aligned
+from devrf.reconstruct.evaluation.check_rest import PlateFit, RestCheck, RestFit, check_rest
+from devrf.reconstruct.evaluation.displacement import Displacement
 
 WIDTH, HEIGHT, COUNT, RESTS = 128, 96, 21, 4
 CAMERA = Camera(

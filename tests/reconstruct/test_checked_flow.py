@@ -12,10 +12,10 @@ from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
 from devrf.flow.agreement import MOSTLY_CONTRADICTED
 from devrf.flow.store import BEST, CameraFlow
-from devrf.reconstruct.checked_flow import checked_flow
-from devrf.reconstruct.moving_pixels import changing_pixels
-from devrf.reconstruct.pixel_flow import PixelFlow
-from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.rendering.rays import RaySet
+from devrf.reconstruct.sampling.checked_flow import checked_flow
+from devrf.reconstruct.sampling.moving_pixels import changing_pixels
+from devrf.reconstruct.sampling.pixel_flow import PixelFlow
 
 WIDTH, HEIGHT, STEP = 64, 48, 2.0  # the pattern goes right by so many pixels from picture to picture
 NAMES = ("cam0", "cam1")
@@ -67,7 +67,9 @@ def test_nothing_is_left_of_a_pair_that_is_mostly_contradicted() -> None:
 
 def test_a_pair_in_which_hardly_anything_moves_is_not_judged_by_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its vectors say that nothing moves, which is right but for a spot: too little to drop all of them."""
-    monkeypatch.setattr("devrf.reconstruct.checked_flow.FEWEST_ASKED", 0.05)  # a spot of so small a picture
+    monkeypatch.setattr(
+        "devrf.reconstruct.sampling.checked_flow.FEWEST_ASKED", 0.05
+    )  # a spot of so small a picture
     rays = _rays()
     pictures = rays.pixels.view(6, HEIGHT, WIDTH, 3)
     pictures[2] = pictures[1]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from devrf.capture.errors import ReconstructError
-from devrf.reconstruct import checkpoint as checkpoints
-from devrf.reconstruct.checkpoint import NOWHERE, Begun, Checkpoint, State
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.capture.system.errors import ReconstructError
+from devrf.reconstruct.storage import checkpoint as checkpoints
+from devrf.reconstruct.storage.checkpoint import NOWHERE, Begun, Checkpoint, State
+from devrf.reconstruct.storage.training_log import TrainingLog
 
 TENSORS = {
     "grid": torch.arange(12.0).reshape(3, 4),
@@ -138,7 +138,7 @@ def test_what_stops_it_while_it_writes_leaves_nothing_half_made(
 
 def test_they_are_as_frequent_as_they_are_quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now, written = [0.0], []
-    monkeypatch.setattr("devrf.reconstruct.checkpoint.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("devrf.reconstruct.storage.checkpoint.time.monotonic", lambda: now[0])
 
     def slow(path: Path, *_: object) -> None:
         path.touch()
@@ -155,7 +155,7 @@ def test_they_are_as_frequent_as_they_are_quick(tmp_path: Path, monkeypatch: pyt
 
 def test_the_first_of_a_large_training_waits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
-    monkeypatch.setattr("devrf.reconstruct.checkpoint.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("devrf.reconstruct.storage.checkpoint.time.monotonic", lambda: now[0])
     monkeypatch.setattr(checkpoints, "SLOW_DISK", 48.0)  # a second for the state, so 20 seconds before it
     checkpoint = Checkpoint(tmp_path / "state", "one")
     for done, there in ((6, False), (19, False), (21, True)):

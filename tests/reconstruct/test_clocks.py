@@ -7,7 +7,7 @@ import pytest
 from tests.reconstruct.conftest import ball_clips
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.as_trained import retimed
+from devrf.reconstruct.sampling.retimed import retimed
 
 pytestmark = pytest.mark.full
 

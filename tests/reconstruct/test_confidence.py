@@ -9,11 +9,11 @@ import torch
 from tests.make.models import NDC, UNIT_BOX, canonical, still, straight
 
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.confidence import Witnesses, every_nth, subject_seen
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.ndc import CUBE
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shell import Shell
+from devrf.reconstruct.evaluation.confidence import Witnesses, every_nth, subject_seen
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.contracted_background import Shell
+from devrf.reconstruct.fields.ndc import CUBE
+from devrf.reconstruct.rendering.model import DynamicModel
 
 SOLID = 0.9  # opacity of pixels that surely show the ball
 

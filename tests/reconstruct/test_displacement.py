@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from devrf.reconstruct.displacement import SEARCH, displacement
+from devrf.reconstruct.evaluation.displacement import SEARCH, displacement
 
 SIZE = HEIGHT, WIDTH = 90, 120
 

@@ -11,7 +11,7 @@ from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.evaluate import LpipsNets, evaluate, motion_psnr
+from devrf.reconstruct.evaluation.evaluate import LpipsNets, evaluate, motion_psnr
 
 WIDTH, HEIGHT, SCALE = 100, 80, 0.5
 TIMES = (0.0, 0.5, 1.0)

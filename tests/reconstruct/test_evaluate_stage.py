@@ -15,8 +15,8 @@ from tests.reconstruct.conftest import look_at
 from devrf.calibration.truth import read_truth
 from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene, write_scene
-from devrf.capture.progress import no_progress
 from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.system.progress import no_progress
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.stage import StageContext

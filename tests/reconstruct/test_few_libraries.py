@@ -15,17 +15,17 @@ WORK = """
 from pathlib import Path
 import numpy as np
 from devrf.capture.camera import Camera
-from devrf.capture.picture_files import write_png, to_8_bits
+from devrf.capture.photos.picture_files import write_png, to_8_bits
 from devrf.capture.view_axes import look_at
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.evaluate import LpipsNets, evaluate
-from devrf.reconstruct.film.paths import orbit
-from devrf.reconstruct.film.span import film_cameras, film_lens
+from devrf.reconstruct.evaluation.evaluate import LpipsNets, evaluate
+from devrf.reconstruct.geometry.paths import orbit
+from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
 from devrf.reconstruct.film.times import film_times
-from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_motion import train_motion
 
 folder = Path(sys.argv[1])
 REST = CanonicalOptions(

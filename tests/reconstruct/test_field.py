@@ -5,12 +5,12 @@ import pytest
 import torch
 from tests.make.models import before_random_model, planes, random_model
 
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.geometry.field import AT_ONCE, Field, field_at
-from devrf.reconstruct.grids import vertices
-from devrf.reconstruct.model import DynamicModel, render_layers
-from devrf.reconstruct.rays import camera_rays
-from devrf.reconstruct.render import segments_in
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.rendering.model import DynamicModel, render_layers
+from devrf.reconstruct.rendering.rays import camera_rays
+from devrf.reconstruct.rendering.render import segments_in
 
 
 def _by_hand(model: DynamicModel, time: float | None) -> tuple[np.ndarray, np.ndarray]:

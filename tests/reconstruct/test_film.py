@@ -7,9 +7,9 @@ import pytest
 from tests.reconstruct.conftest import look_at
 
 from devrf.capture.camera import Camera
-from devrf.capture.picture_files import to_8_bits
-from devrf.reconstruct.film.paths import orbit, spiral, through
-from devrf.reconstruct.film.span import film_lens, focus
+from devrf.capture.photos.picture_files import to_8_bits
+from devrf.reconstruct.geometry.camera_arc import film_lens, focus
+from devrf.reconstruct.geometry.paths import orbit, spiral, through
 
 AABB = np.array([[-1.0, -1, -0.8], [1, 1, 0.8]])
 K = np.array([[300.0, 0, 160], [0, 310, 120], [0, 0, 1]])

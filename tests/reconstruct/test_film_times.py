@@ -2,7 +2,7 @@
 
 from tests.refused import refused
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.reconstruct.film.times import parse_time
 
 

@@ -12,14 +12,14 @@ from tests.make.models import UNIT_BOX, still
 from tests.reconstruct.conftest import REST, true_motion
 from tests.refused import refused
 
-from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene, load_image
-from devrf.reconstruct import fine_tune as fine_tuning
-from devrf.reconstruct.fine_tune import LR, fine_tune
-from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.capture.system.errors import ReconstructError
+from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.options import MotionOptions
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.train_canonical import train_canonical
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.training import fine_tune as fine_tuning
+from devrf.reconstruct.training.fine_tune import LR, fine_tune
+from devrf.reconstruct.training.train_canonical import train_canonical
 
 COARSER = replace(REST, resolution=36, scale_at=(0.3,))
 TUNING = MotionOptions(

@@ -13,20 +13,20 @@ from tests.reconstruct.conftest import REST, look_at
 from tests.reconstruct.deaths import until_done
 from tests.refused import refused
 
-from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import PosedFrame
+from devrf.capture.system.errors import ReconstructError
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.health.training import contradicted_measures, restart_measures
-from devrf.reconstruct import fine_tune as fine_tuning
-from devrf.reconstruct.guard import MOST, SMALLER, Guard
-from devrf.reconstruct.motion import MotionField
+from devrf.pipelines.health.training_rows import contradicted_measures, restart_measures
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.train_canonical import _Recipe as RestRecipe
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_motion import _Recipe as MotionRecipe
-from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.storage.training_log import TrainingLog
+from devrf.reconstruct.training import fine_tune as fine_tuning
+from devrf.reconstruct.training.guard import MOST, SMALLER, Guard
+from devrf.reconstruct.training.train_canonical import _Recipe as RestRecipe
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_motion import _Recipe as MotionRecipe
+from devrf.reconstruct.training.train_motion import train_motion
 
 QUICK = replace(REST, iterations=30, scale_at=(0.5,), occupancy_every=10)
 MOTION = MotionOptions(
@@ -238,7 +238,7 @@ def test_losses_that_double_by_chance_change_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     motion, _ = good_motion
-    monkeypatch.setattr("devrf.reconstruct.guard.RUNAWAY", 0.0)
+    monkeypatch.setattr("devrf.reconstruct.training.guard.RUNAWAY", 0.0)
     again, metrics = train_motion(ball.scene, rest, {}, MOTION)
     assert metrics["restarts"] == metrics["keys_left"] == 0 and torch.equal(motion.backward, again.backward)
 
@@ -265,10 +265,10 @@ def test_a_motion_that_is_no_number_is_not_kept(
 def test_what_smaller_steps_do_not_help_ends_with_a_message(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("devrf.reconstruct.guard.RUNAWAY", 0.0)
+    monkeypatch.setattr("devrf.reconstruct.training.guard.RUNAWAY", 0.0)
     with refused("training-diverged", "reconstruct.resolution", kind=ReconstructError):
         train_canonical(ball.scene, QUICK)
-    monkeypatch.setattr("devrf.reconstruct.train_motion.WORSE", 0.0)
+    monkeypatch.setattr("devrf.reconstruct.training.train_motion.WORSE", 0.0)
     motion, metrics = train_motion(ball.scene, rest, {}, MOTION)
     assert metrics["keys_left"] == motion.keys - 1  # a key that only gets worse stays as it was
     assert (motion.backward == 0).all() and metrics["rate"] == 1.0

@@ -6,9 +6,9 @@ import torch
 from tests.make import models
 from tests.reconstruct.conftest import look_at
 
-from devrf.reconstruct.canonical import EMPTY, Canonical
+from devrf.reconstruct.fields.canonical import EMPTY, Canonical
+from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.geometry.seen import SeenView
-from devrf.reconstruct.grids import vertices
 from devrf.reconstruct.tracking.hidden import fill, hidden_at_rest, labels_of_hidden
 
 HALF = 0.4  # of the block's side; it stands on the floor, whose z is 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from devrf.reconstruct.flat_adam import FlatAdam
+from devrf.reconstruct.fields.flat_adam import FlatAdam
 from devrf.reconstruct.kernels import adam
 from devrf.reconstruct.kernels import background as around
 from devrf.reconstruct.kernels.adam import add_total_variation, add_touched_variation, dense_step, masked_step
@@ -25,7 +25,7 @@ from devrf.reconstruct.kernels.occupancy import (
 )
 from devrf.reconstruct.kernels.quad import quad, quad_ref
 from devrf.reconstruct.kernels.trilinear import trilinear, trilinear_ref
-from devrf.reconstruct.training_state import net_state, take_up_net
+from devrf.reconstruct.storage.training_state import net_state, take_up_net
 
 AABB = torch.tensor([[-1.0, -0.5, -0.8], [1.0, 0.7, 0.9]])
 # sums of eight products of order one, multiplied by up to ten vertices per unit
@@ -328,8 +328,11 @@ def test_one_vector_of_parameters_is_trained_as_torch_does() -> None:
 
 def test_trainings_do_without_the_optimisers_of_torch() -> None:
     """Importing them takes two seconds of each process."""
-    code = "import sys, devrf.reconstruct.train_deformation, devrf.reconstruct.train_canonical as t, torch; "
-    code += "t.FlatAdam(torch.nn.Linear(2, 2)).step(0.1); print('torch._dynamo' in sys.modules)"
+    code = "import sys, torch, devrf.reconstruct.training.train_deformation; "
+    code += (
+        "from devrf.reconstruct.fields.flat_adam import FlatAdam; FlatAdam(torch.nn.Linear(2, 2)).step(0.1); "
+    )
+    code += "print('torch._dynamo' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

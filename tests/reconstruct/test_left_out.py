@@ -8,10 +8,10 @@ import torch
 from tests.reconstruct.conftest import TRAVEL, Ball, ball_clips
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.left_out import ONE_IN, PER_PICTURE, LeftOut, left_out
-from devrf.reconstruct.left_out_errors import Errors
-from devrf.reconstruct.paired import gain_text
-from devrf.reconstruct.rays import RaySet
+from devrf.reconstruct.evaluation.left_out import ONE_IN, PER_PICTURE, LeftOut, left_out
+from devrf.reconstruct.evaluation.left_out_errors import Errors
+from devrf.reconstruct.evaluation.paired import gain_text
+from devrf.reconstruct.rendering.rays import RaySet
 
 TIMES = 40
 CAMERAS = ("cam0", "cam1", "cam2", "cam3")

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from devrf.reconstruct.losses import (
+from devrf.reconstruct.training.losses import (
     cycle_loss,
     entropy_loss,
     flow_loss,

@@ -16,11 +16,11 @@ import torch
 from PIL import Image
 from tests.refused import refused
 
-from devrf.capture.errors import ReconstructError
-from devrf.reconstruct import lpips_weights
-from devrf.reconstruct.evaluate import LpipsNets
-from devrf.reconstruct.lpips import Lpips
-from devrf.reconstruct.lpips_weights import CONVOLUTIONS, HEADS, Net, load_weights
+from devrf.capture.system.errors import ReconstructError
+from devrf.reconstruct.evaluation import lpips_weights
+from devrf.reconstruct.evaluation.evaluate import LpipsNets
+from devrf.reconstruct.evaluation.lpips import Lpips
+from devrf.reconstruct.evaluation.lpips_weights import CONVOLUTIONS, HEADS, Net, load_weights
 
 # computed in double precision, with the same half-precision convolutions, by an independent program
 EXPECTED: dict[Net, tuple[float, float]] = {"alex": (0.72188, 0.13757), "vgg": (0.56861, 0.42166)}

@@ -9,12 +9,12 @@ from PIL import Image
 from tests.reconstruct.conftest import held_rays
 
 from devrf.capture.camera import Camera
-from devrf.capture.picture_files import write_png
+from devrf.capture.photos.picture_files import write_png
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.error_map import error_map
-from devrf.reconstruct.hull import silhouette
-from devrf.reconstruct.moving_pixels import changing_pixels
+from devrf.reconstruct.adapt.hull import silhouette
+from devrf.reconstruct.evaluation.error_map import error_map
+from devrf.reconstruct.sampling.moving_pixels import changing_pixels
 
 WIDTH, HEIGHT = 140, 90
 CAMERA = Camera(WIDTH, HEIGHT, np.array([[100.0, 0, 70], [0, 100, 45], [0, 0, 1]]), np.eye(4)[:3])

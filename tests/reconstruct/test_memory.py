@@ -14,14 +14,14 @@ import torch
 from tests.reconstruct.conftest import REST
 from tests.refused import refused
 
-from devrf.capture.amounts import GB
-from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import Scene
-from devrf.reconstruct.footprint import SceneSize, footprint
-from devrf.reconstruct.grids import GridTrainer
-from devrf.reconstruct.memory_fit import COARSER, Fitted, Limits, fitted, surely
+from devrf.capture.system.amounts import GB
+from devrf.capture.system.errors import ReconstructError
+from devrf.reconstruct.adapt.footprint import SceneSize, footprint
+from devrf.reconstruct.adapt.memory_fit import COARSER, Fitted, Limits, fitted, surely
+from devrf.reconstruct.fields.grids import GridTrainer
 from devrf.reconstruct.options import CanonicalOptions, preset, resized_whole
-from devrf.reconstruct.train_canonical import train_canonical
+from devrf.reconstruct.training.train_canonical import train_canonical
 
 ROOM = SceneSize(
     still_pixels=40_000_000, moving_pixels=60_000_000, still_lenses=1_000_000, moving_lenses=4_000_000,
@@ -30,8 +30,8 @@ ROOM = SceneSize(
 PEAK = """
 import json, pickle, sys
 from pathlib import Path
-from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.train_canonical import train_canonical
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.training.train_canonical import train_canonical
 
 def of_status(key):
     return next(int(l.split()[1]) * 1024 for l in Path("/proc/self/status").open() if l.startswith(key))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from devrf.reconstruct.metrics import Comparison, psnr, ssim_map
+from devrf.reconstruct.evaluation.metrics import Comparison, psnr, ssim_map
 
 
 def picture(height: int = 40, width: int = 50, seed: int = 0) -> np.ndarray:

@@ -5,8 +5,8 @@ import pytest
 import torch
 from tests.make.models import before_random_model, random_model
 
-from devrf.reconstruct import model as models
-from devrf.reconstruct.model import CHUNK, FEWEST_AT_ONCE, render_layers, render_view
+from devrf.reconstruct.rendering import model as models
+from devrf.reconstruct.rendering.model import CHUNK, FEWEST_AT_ONCE, render_layers, render_view
 
 
 def test_a_full_gpu_is_tried_again_with_fewer_rays(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,10 +16,10 @@ from safetensors.torch import save_file
 from tests.make.models import before_random_model, random_model
 from tests.refused import refused
 
-from devrf.capture.errors import ReconstructError
-from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.model import DynamicModel, render_layers, render_view
-from devrf.reconstruct.model_io import (
+from devrf.capture.system.errors import ReconstructError
+from devrf.reconstruct.rendering.model import DynamicModel, render_layers, render_view
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.storage.model_io import (
     FILE,
     TUNED_FILE,
     load_model,
@@ -28,14 +28,14 @@ from devrf.reconstruct.model_io import (
     save_motion,
     save_rest,
 )
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.storage.training_log import TrainingLog
 
 
 def test_a_disk_that_takes_no_such_file_is_the_systems_error(tmp_path: Path) -> None:
     """The library tells of it in words of its own."""
     code = (
         "import resource, sys, torch; from pathlib import Path\n"
-        "from devrf.reconstruct.tensor_file import save_tensors\n"
+        "from devrf.reconstruct.storage.tensor_file import save_tensors\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
         "try: save_tensors(Path(sys.argv[1]), {'a': torch.zeros(10_000)}, {})\n"
         "except OSError as error: sys.exit(error.errno)\n"

@@ -13,14 +13,14 @@ from tests.reconstruct.conftest import REST, held_rays
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.grids import voxel_size
+from devrf.reconstruct.fields.grids import voxel_size
 from devrf.reconstruct.kernels.quad import quad
-from devrf.reconstruct.losses import cycle_loss, flow_loss
-from devrf.reconstruct.model import DynamicModel, render_view
 from devrf.reconstruct.options import MotionOptions
-from devrf.reconstruct.pixel_flow import PUBLISHED_WIDTH, PixelFlow
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.sampling.pixel_flow import PUBLISHED_WIDTH, PixelFlow
+from devrf.reconstruct.training.losses import cycle_loss, flow_loss
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_motion import train_motion
 
 BOX = torch.tensor([[-1.0, -0.8, -0.6], [1.0, 0.8, 0.6]])
 # one picture to the next, box units: more than a voxel, within reach of the rates

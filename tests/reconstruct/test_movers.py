@@ -14,38 +14,39 @@ from tests.reconstruct.conftest import RADIUS, TRAVEL, Ball, ball_clips, look_at
 from tests.reconstruct.deaths import until_done
 
 import devrf.reconstruct.kernels.layers as layers_module
-import devrf.reconstruct.movers as movers_module
-import devrf.reconstruct.train_motion as train_motion_module
-import devrf.reconstruct.train_movers as train_movers_module
+import devrf.reconstruct.rendering.layered as layered_module
+import devrf.reconstruct.training.train_motion as train_motion_module
+import devrf.reconstruct.training.train_movers as train_movers_module
 from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.health.training import moved_clock_measures, mover_measures
-from devrf.reconstruct.canonical import Canonical
-from devrf.reconstruct.corrections import Corrections
+from devrf.pipelines.health.training_rows import moved_clock_measures, mover_measures
+from devrf.reconstruct.adapt.sizing import Decision
+from devrf.reconstruct.evaluation.left_out import left_out
+from devrf.reconstruct.evaluation.left_out_errors import Errors, errors_in_motion
+from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.grids import vertices
+from devrf.reconstruct.fields.movers import Movers
+from devrf.reconstruct.fields.ndc import Ndc
+from devrf.reconstruct.fields.pose_corrections import Corrections
+from devrf.reconstruct.fields.shading import Shading
 from devrf.reconstruct.geometry.field import field_at, moved
-from devrf.reconstruct.grids import vertices
-from devrf.reconstruct.guard import diverged
 from devrf.reconstruct.kernels.layers import march_layers, march_layers_ref
-from devrf.reconstruct.left_out import left_out
-from devrf.reconstruct.left_out_errors import Errors, errors_in_motion
-from devrf.reconstruct.model import DynamicModel, render_layers, render_view
-from devrf.reconstruct.model_io import load_deformation, save_deformation, save_rest
-from devrf.reconstruct.movers import Movers, draw_layered, render_layered
-from devrf.reconstruct.moving_pictures import MovingPictures
-from devrf.reconstruct.ndc import Ndc
 from devrf.reconstruct.options import PRESETS, MotionOptions
-from devrf.reconstruct.rays import camera_rays
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.shading import Shading
-from devrf.reconstruct.sizing import Decision
-from devrf.reconstruct.still_picture import standing_clips
+from devrf.reconstruct.rendering.layered import draw_layered, render_layered
+from devrf.reconstruct.rendering.model import DynamicModel, render_layers, render_view
+from devrf.reconstruct.rendering.rays import camera_rays
+from devrf.reconstruct.sampling.clean_plate import standing_clips
+from devrf.reconstruct.sampling.moving_pictures import MovingPictures
+from devrf.reconstruct.storage.model_io import load_deformation, save_deformation, save_rest
 from devrf.reconstruct.tracking.find import Found, find_movers, parts_of, why_not_tracked
 from devrf.reconstruct.tracking.follow import Tracks
-from devrf.reconstruct.tracking.graph import Graph
+from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.train_deformation import DOUBTED_DB, train_deformation
-from devrf.reconstruct.train_movers import Trained, _Recipe, train_movers, untrained_errors
+from devrf.reconstruct.training.guard import diverged
+from devrf.reconstruct.training.train_deformation import DOUBTED_DB, train_deformation
+from devrf.reconstruct.training.train_movers import Trained, _Recipe, train_movers, untrained_errors
 
 TURN = np.array([0.2, -0.3, 0.4])
 STRETCH = np.array([[1.25, 0.08, 0.0], [0.08, 0.85, -0.05], [0.0, -0.05, 1.1]])
@@ -245,7 +246,7 @@ def test_samples_of_all_layers_are_those_of_each_in_order(
 def test_pictures_are_what_training_sees(
     rest: RestModel, monkeypatch: pytest.MonkeyPatch, warp: bool
 ) -> None:
-    monkeypatch.setattr(movers_module, "use_warp", lambda device: warp)
+    monkeypatch.setattr(layered_module, "use_warp", lambda device: warp)
     rest = replace(rest, canonical=copy.copy(rest.canonical))
     rest.canonical.deferred = True
     stands, movers, o, d, frame = three_layers(rest, soft=True)
@@ -289,7 +290,7 @@ def test_gradients_of_corrections_are_those_of_differences(
     wanted = torch.linspace(0, 1, len(o))[:, None]
     turned = movers.placed(torch.tensor([0.4])).turned(frame)
     samples = march_layers(stands.volume(), movers.packed(), turned, o, d, 0.5, middle)
-    monkeypatch.setattr(movers_module, "march_layers", lambda *arguments: samples)  # it has no gradient
+    monkeypatch.setattr(layered_module, "march_layers", lambda *arguments: samples)  # it has no gradient
 
     def loss() -> torch.Tensor:
         seen = render_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle)
@@ -473,9 +474,11 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
         travel: np.ndarray, offsets_s: dict[str, float] | None = None, decisions: Sequence[Decision] = ()
     ) -> Found:
         one = found(travel, offsets_s or {})
-        monkeypatch.setattr("devrf.reconstruct.train_deformation.why_not_tracked", lambda scene, rest: None)
         monkeypatch.setattr(
-            "devrf.reconstruct.train_deformation.find_movers", lambda *arguments: (one, [*decisions])
+            "devrf.reconstruct.training.train_deformation.why_not_tracked", lambda scene, rest: None
+        )
+        monkeypatch.setattr(
+            "devrf.reconstruct.training.train_deformation.find_movers", lambda *arguments: (one, [*decisions])
         )
         return one
 
@@ -509,7 +512,7 @@ def test_why_nothing_is_tracked_is_said(
     rest = replace(rest, canonical=copy.copy(rest.canonical))
     rest.canonical.ndc = ndc
     monkeypatch.setattr(
-        "devrf.reconstruct.train_deformation._field",
+        "devrf.reconstruct.training.train_deformation._field",
         lambda *arguments: (DynamicModel(rest), {"decisions": []}),
     )
     (decision,) = train_deformation(scene_is(scene), rest, {}, OPTIONS, estimator=DisFlow)[1]["decisions"]
@@ -602,7 +605,9 @@ def test_parts_are_soft_where_that_explains_more_than_chance(
     tracks = replace(found.tracks, xyz=way, lost=np.zeros(way.shape[:2], bool))
     surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
     found = replace(found, surface=surface, tracks=tracks, labels=np.zeros(len(xyz), int))
-    monkeypatch.setattr("devrf.reconstruct.train_deformation.find_movers", lambda *arguments: (found, []))
+    monkeypatch.setattr(
+        "devrf.reconstruct.training.train_deformation.find_movers", lambda *arguments: (found, [])
+    )
     session = ball_clips(ball, tmp_path, 2 * TIMES + 1, TRAVEL, stretch)
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None
@@ -660,7 +665,7 @@ def test_a_field_is_trained_too_where_movers_explain_little(
     field: Errors | None,
 ) -> None:
     tracked(TRAVEL)
-    model, module = whole(rest, TRAVEL), "devrf.reconstruct.train_deformation."
+    model, module = whole(rest, TRAVEL), "devrf.reconstruct.training.train_deformation."
     assert model.movers is not None and model.in_motion is not None
     trained = Trained(model.in_motion, model.movers, errors(1), errors(0), errors(-parts_db), COST)
     asked, learn = (
@@ -767,6 +772,6 @@ def test_movers_whose_training_diverges_give_way_to_a_field(
         raise diverged("the loss")
 
     tracked(TRAVEL)
-    monkeypatch.setattr("devrf.reconstruct.train_deformation.train_movers", runs_away)
+    monkeypatch.setattr("devrf.reconstruct.training.train_deformation.train_movers", runs_away)
     model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and "training diverged" in metrics["decisions"][0]

@@ -5,11 +5,11 @@ import pytest
 import torch
 from tests.make.models import NDC, planes
 
-from devrf.reconstruct.grids import grid_shape
+from devrf.reconstruct.fields.grids import grid_shape
+from devrf.reconstruct.fields.ndc import CUBE, NEAR
 from devrf.reconstruct.kernels.composite import composite_weights
 from devrf.reconstruct.kernels.march import march
-from devrf.reconstruct.ndc import CUBE, NEAR
-from devrf.reconstruct.render import distances, points_on, segments_in
+from devrf.reconstruct.rendering.render import distances, points_on, segments_in
 
 
 def _points(n: int = 500) -> torch.Tensor:

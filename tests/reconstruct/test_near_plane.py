@@ -9,8 +9,8 @@ from tests.make.models import AABB, COLOUR, moving_ball
 
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.near_plane import FEWEST, near_plane
+from devrf.reconstruct.fields.near_plane import FEWEST, near_plane
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
 
 LEAST = 0.1
 K = np.array([[40.0, 0, 16], [0, 40, 12], [0, 0, 1]])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import devrf.reconstruct.tracking.normal_equations as module
-from devrf.reconstruct.tracking.normal_equations import Blocks, edge_terms, point_terms, skew
+import devrf.reconstruct.tracking.solver.normal_equations as module
+from devrf.reconstruct.tracking.solver.normal_equations import Blocks, edge_terms, point_terms, skew
 
 NODES, POINTS, FOLLOWED = 7, 60, 3
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from devrf.reconstruct.packing import (
+from devrf.reconstruct.storage.packing import (
     STEPS,
     bits_of,
     field_from_stream,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp, ttest_rel
 
-from devrf.reconstruct.paired import LEAST_MOMENTS, STRETCHES, Gain, gain_over_time, paired_gain
+from devrf.reconstruct.evaluation.paired import LEAST_MOMENTS, STRETCHES, Gain, gain_over_time, paired_gain
 
 RNG = np.random.default_rng(0)
 

@@ -11,10 +11,10 @@ from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct import still_picture
-from devrf.reconstruct.plates import SHARE, draw_with_plates, plates
-from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.still_picture import plate
+from devrf.reconstruct.rendering.rays import RaySet
+from devrf.reconstruct.sampling import clean_plate as still_picture
+from devrf.reconstruct.sampling.clean_plate import plate
+from devrf.reconstruct.sampling.plates import SHARE, draw_with_plates, plates
 
 SIZE = 64, 48  # width, height
 CAMERA = Camera(*SIZE, np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]), np.eye(3, 4))

@@ -8,8 +8,9 @@ from tests.reconstruct.conftest import held_rays
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame
-from devrf.reconstruct import rays as rays_of
-from devrf.reconstruct.rays import RaySet, camera_rays, intersect, local_directions
+from devrf.reconstruct.kernels.march import intersect
+from devrf.reconstruct.rendering import rays as rays_of
+from devrf.reconstruct.rendering.rays import RaySet, camera_rays, local_directions
 
 POSE = np.array([[0, 1, 0, 0.1], [0, 0, 1, -0.2], [1, 0, 0, 3.0]])
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from devrf.reconstruct.refinement import FEWEST, FIRST, MOVING_S, at_most, in_time
+from devrf.pipelines.viewer.progressive import FEWEST, FIRST, MOVING_S, at_most, in_time
 
 
 @pytest.mark.parametrize("overhead_s", [0.0, 0.05])

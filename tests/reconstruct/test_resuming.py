@@ -18,15 +18,15 @@ from tests.reconstruct.conftest import REST
 from tests.reconstruct.deaths import until_done
 from torch import Tensor
 
-from devrf.capture.errors import OutOfTime
 from devrf.capture.scene import Scene
-from devrf.reconstruct import fine_tune as fine_tuning
-from devrf.reconstruct import train_motion as motion_training
-from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.capture.system.errors import OutOfTime
+from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_deformation import train_deformation
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.training import fine_tune as fine_tuning
+from devrf.reconstruct.training import train_motion as motion_training
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_deformation import train_deformation
 
 SHORT = replace(
     REST,
@@ -182,8 +182,8 @@ import pickle, sys
 from pathlib import Path
 from safetensors.torch import save_file
 from tests.reconstruct.test_resuming import SHORT, _tensors
-from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.train_canonical import train_canonical
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.training.train_canonical import train_canonical
 
 scene, folder = pickle.loads(Path(sys.argv[1]).read_bytes()), Path(sys.argv[2])
 model = train_canonical(scene, SHORT, checkpoint=Checkpoint(folder / "state", "this training", every_s=0.0))

@@ -12,17 +12,17 @@ from tests.reconstruct.deaths import until_done
 from devrf.capture.camera import Camera
 from devrf.capture.scene import load_image
 from devrf.flow.store import CameraFlow
-from devrf.reconstruct.grids import grid_shape
-from devrf.reconstruct.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing, rest_key_of
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.ndc import CUBE, Ndc
+from devrf.reconstruct.adapt.key_times import BENT_PX, FARTHEST, fewer_keys, needed_spacing, rest_key_of
+from devrf.reconstruct.adapt.sizing import fewer_voxels, levels_for, needed_resolution
+from devrf.reconstruct.adapt.static_keys import still_keys
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.grids import grid_shape
+from devrf.reconstruct.fields.ndc import CUBE, Ndc
 from devrf.reconstruct.options import MotionOptions, preset
-from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.sizing import fewer_voxels, levels_for, needed_resolution
-from devrf.reconstruct.still_keys import still_keys
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.rendering.rays import RaySet
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_motion import train_motion
 
 MOTION = MotionOptions(
     levels=(4, 6, 8), iterations=(90, 30, 20), rays=400, resolution=40, importance=0.7, lr=6e-3,

@@ -25,10 +25,10 @@ from tests.make.scenes import scene_of
 from tests.reconstruct.conftest import around, look_at
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.ply import write_splat_ply
+from devrf.capture.formats.geometry.ply import write_splat_ply
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.kernels.splat import FAINT, splat, splat_ref
-from devrf.reconstruct.model import DynamicModel, render_view
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
 from devrf.reconstruct.splats.fit import FINEST_PX, fit
 from devrf.reconstruct.splats.gaussians import (
     BLUR,

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from devrf.reconstruct.still_picture import StillPicture
+from devrf.reconstruct.sampling.clean_plate import StillPicture
 
 
 def test_pixels_that_differ_after_a_blur_move_and_two_pixels_around() -> None:

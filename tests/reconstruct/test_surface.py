@@ -10,14 +10,22 @@ from tests.reconstruct.conftest import around, look_at
 from tests.refused import refused
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import ReconstructError
+from devrf.capture.system.errors import ReconstructError
 from devrf.pipelines.export.mesh import marching_cubes
+from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.geometry.cloud import point_cloud
 from devrf.reconstruct.geometry.field import Field, field_at
+from devrf.reconstruct.geometry.mesh_surface import (
+    apart,
+    coloured,
+    moved,
+    normals_of,
+    rested,
+    resting,
+    surface_of,
+)
 from devrf.reconstruct.geometry.seen import SeenView, agreed, look, solid
-from devrf.reconstruct.geometry.surface import apart, coloured, moved, normals_of, rested, resting, surface_of
-from devrf.reconstruct.model import DynamicModel
-from devrf.reconstruct.rest_model import RestModel
+from devrf.reconstruct.rendering.model import DynamicModel
 
 pytest.importorskip("skimage")
 LEVEL = 0.5

@@ -15,25 +15,25 @@ from scipy.spatial.transform import Rotation
 from tests.reconstruct.conftest import look_at
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import OutOfTime
 from devrf.capture.scene import PosedFrame, load_image
+from devrf.capture.system.errors import OutOfTime
 from devrf.flow.dis import DisFlow
-from devrf.reconstruct.checkpoint import Checkpoint
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
-from devrf.reconstruct.tracking.film import Film, fetched
 from devrf.reconstruct.tracking.follow import Tracks, _Following, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
-from devrf.reconstruct.tracking.graph import Graph, Pose
 from devrf.reconstruct.tracking.likelihoods import MOMENTS, Likelihoods, likelihoods
 from devrf.reconstruct.tracking.moving_points import PRIOR, _cut, _in_planes, _links, _log_odds, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
-from devrf.reconstruct.tracking.shot import Shot
-from devrf.reconstruct.tracking.sight import Sight
 from devrf.reconstruct.tracking.soft import soft_motion_of
-from devrf.reconstruct.tracking.solve import Pulls, step
+from devrf.reconstruct.tracking.solver.graph import Graph, Pose
+from devrf.reconstruct.tracking.solver.solve import Pulls, step
 from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.tracking.views.film import Film, fetched
+from devrf.reconstruct.tracking.views.shot import Shot
+from devrf.reconstruct.tracking.views.sight import Sight
 
 SIDE, SPACING = 0.3, 0.03  # half a card's side; of the points on it
 CENTRES = np.array([[-0.4, 0.0, 0.0], [0.4, 0.0, 0.1]])
@@ -912,8 +912,8 @@ def test_pictures_are_read_once_while_they_are_asked_for(films: list[Film], monk
         read.append(frame.index)
         return load_image(frame, *others)
 
-    monkeypatch.setattr("devrf.reconstruct.tracking.film.load_image", counted)
-    monkeypatch.setattr("devrf.reconstruct.tracking.film.PICTURES", 3)
+    monkeypatch.setattr("devrf.reconstruct.tracking.views.film.load_image", counted)
+    monkeypatch.setattr("devrf.reconstruct.tracking.views.film.PICTURES", 3)
     film = films[0].backwards()
     for n in (0, 1, 0, 2, 0, 3, 0, 4):
         film.picture(n)

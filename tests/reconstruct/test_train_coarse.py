@@ -10,13 +10,13 @@ from tests.make.scenes import scene_of
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, SparsePoints
 from devrf.capture.view_axes import look_at
+from devrf.reconstruct.fields.contracted_background import CUBE
 from devrf.reconstruct.kernels.background import contract
 from devrf.reconstruct.kernels.trilinear import trilinear
 from devrf.reconstruct.options import preset
-from devrf.reconstruct.rays import RaySet
-from devrf.reconstruct.shell import CUBE
-from devrf.reconstruct.train_coarse import train_coarse
-from devrf.reconstruct.training_log import TrainingLog
+from devrf.reconstruct.rendering.rays import RaySet
+from devrf.reconstruct.storage.training_log import TrainingLog
+from devrf.reconstruct.training.train_coarse import train_coarse
 
 WIDTH, HEIGHT = 24, 16
 K = np.array([[20.0, 0, WIDTH / 2], [0, 20, HEIGHT / 2], [0, 0, 1]])

@@ -9,18 +9,18 @@ from tests.reconstruct.conftest import REST
 from tests.refused import refused
 from torch import Tensor
 
-from devrf.capture.errors import ReconstructError
 from devrf.capture.scene import load_image, plain_colour
-from devrf.reconstruct import train_canonical as training
-from devrf.reconstruct.losses import VARIATION_CLAMP
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.motion import MotionField
+from devrf.capture.system.errors import ReconstructError
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.training_log import Diverged, TrainingLog
-from devrf.reconstruct.watch import Watch
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.storage.training_log import Diverged, TrainingLog
+from devrf.reconstruct.storage.watch import Watch
+from devrf.reconstruct.training import train_canonical as training
+from devrf.reconstruct.training.losses import VARIATION_CLAMP
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_motion import train_motion
 
 SHELL = replace(REST, shell_resolution=32, coarse_iterations=24, coarse_rays=512, coarse_size=32)
 MOTION = MotionOptions(
@@ -197,7 +197,7 @@ def test_divergence_is_noticed() -> None:
 
 def test_looks_are_off_the_clock_and_come_less_and_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr("devrf.reconstruct.training_log.time.perf_counter", lambda: now[0])
+    monkeypatch.setattr("devrf.reconstruct.storage.training_log.time.perf_counter", lambda: now[0])
     log, looked = TrainingLog("cpu", 10), []
 
     def look(model: str, seconds: float) -> None:

@@ -10,14 +10,14 @@ from tests.reconstruct.conftest import Ball
 from tests.reconstruct.test_resuming import MOTION, SHORT
 from tests.refused import refused
 
-from devrf.capture.errors import ReconstructError
-from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_motion import train_motion
-from devrf.reconstruct.unfinished import motion_in_training, rest_in_training
-from devrf.reconstruct.watch import Watch
+from devrf.capture.system.errors import ReconstructError
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.storage.unfinished import motion_in_training, rest_in_training
+from devrf.reconstruct.storage.watch import Watch
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_motion import train_motion
 
 
 @pytest.mark.parametrize("background", ["white", "shell"])

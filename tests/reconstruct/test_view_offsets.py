@@ -10,8 +10,8 @@ from tests.reconstruct.test_movers import whole
 
 from devrf.capture.scene import PosedFrame, Scene, load_image
 from devrf.flow.dis import DisFlow
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.view_offsets import view_offset
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.training.test_clocks import view_offset
 
 TIMES = 9
 WAY = 2 * TRAVEL  # more than a pixel from one picture to the next
@@ -66,7 +66,7 @@ def test_only_pictures_in_even_places_are_asked(
         read.append(frame.index)
         return load_image(frame, *at)
 
-    monkeypatch.setattr("devrf.reconstruct.view_offsets.load_image", load)
+    monkeypatch.setattr("devrf.reconstruct.training.test_clocks.load_image", load)
     shuffled = replace(clips, dynamic=clips.dynamic[::-1])
     view_offset(shuffled, whole(rest, np.zeros(3)), "cam1", DisFlow())
     assert read == list(range(0, TIMES, 2))

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.lab.bench.arguments import JsonOption, check_places, names_of
-from devrf.pipelines.cli_options import QuietOption, errors_told, talk_of
+from devrf.pipelines.terminal.shared_options import QuietOption, errors_told, talk_of
 
 ACCURACY: dict[str, tuple[str, dict[str, str]]] = {
     "calibration": (

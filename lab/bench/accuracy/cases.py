@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from devrf.capture.errors import DevrfError
+from devrf.capture.system.errors import DevrfError
 from devrf.lab.bench.bench_rows import Row, publish
-from devrf.pipelines.console import Talk
 from devrf.pipelines.stages.evaluate import versions
+from devrf.pipelines.terminal.console import Talk
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ only colours are measured. The error is the root mean square difference of sRGB 
 over the surface points that both see and no fit has seen (a quarter of the picture's tiles).
 """
 
-from devrf.calibration.colour.result import read_colours
+from devrf.calibration.colour.colours import read_colours
 from devrf.lab.bench.accuracy.cases import Cases, not_there
 from devrf.lab.bench.accuracy.rigs import run_caliscope
 from devrf.lab.bench.bench_rows import Row

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float32, UInt8
 
-from devrf.capture.picture_files import read_pixels
+from devrf.capture.photos.picture_files import read_pixels
 from devrf.flow.consistency import endpoint_error
 from devrf.flow.estimator import FlowEstimator, create_estimator
 from devrf.flow.pair import estimated, measured

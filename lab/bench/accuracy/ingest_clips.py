@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.video_writer import write_video
+from devrf.capture.video.video_writer import write_video
 
 WIDTH, HEIGHT, FPS = 1920, 1080, 30
 BIT_RATE = 16_000_000  # what phones write at 1080p30

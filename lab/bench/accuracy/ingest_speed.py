@@ -12,10 +12,10 @@ import av
 import cv2
 import numpy as np
 
-from devrf.capture.ingest import write_frames
-from devrf.capture.picture_files import read_pixels
+from devrf.capture.ingest.ingest import write_frames
+from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.session import CaptureSession
-from devrf.capture.video import VideoReader
+from devrf.capture.video.reader import VideoReader
 from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.accuracy.ingest_clips import BIT_RATE, film, filmed
 from devrf.lab.bench.bench_rows import Row
@@ -33,7 +33,7 @@ REAL_CLIPS = ("pose2sim_single/videos/cam03.mp4", "pose2sim_single/videos/cam04.
 INGEST_ONE = """
 import os, sys, time
 from pathlib import Path
-from devrf.capture.ingest import write_frames
+from devrf.capture.ingest.ingest import write_frames
 from devrf.capture.session import CaptureSession
 source, out, cores = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:cores])

@@ -22,8 +22,8 @@ from devrf.calibration.rigs.given import read_given
 from devrf.calibration.rigs.joint import disagreement, median_baseline
 from devrf.calibration.truth import rotation_angle_deg
 from devrf.capture.camera import Camera
-from devrf.capture.errors import CalibrationError
 from devrf.capture.frames import FrameSet
+from devrf.capture.system.errors import CalibrationError
 from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.accuracy.synthetic_rig import (
     SPEC,
@@ -33,16 +33,16 @@ from devrf.lab.bench.accuracy.synthetic_rig import (
     synthetic_views,
 )
 from devrf.lab.bench.bench_rows import Row
-from devrf.pipelines.board_clips import BoardClips
-from devrf.pipelines.board_spec import board_spec
-from devrf.pipelines.cli_options import configured
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import DONE
-from devrf.pipelines.joint_clips import JointViews, read_joint_views
+from devrf.pipelines.inputs.board_clips import BoardClips
+from devrf.pipelines.inputs.board_spec import board_spec
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages.rig.joint_clips import JointViews, read_joint_views
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import DONE
+from devrf.pipelines.terminal.shared_options import configured
 
 SESSIONS = {"caliscope_charuco_calibration": (54.08, 0.44), "caliscope_post_optimization": (53.58, 0.47)}
 """Median and spread of held-out lengths that caliscope reaches, mm."""

@@ -15,8 +15,8 @@ import numpy as np
 from devrf.calibration.sweep.static_poses import SweepModel
 from devrf.calibration.truth import Truth, compare_cameras
 from devrf.capture.frames import SWEEP
-from devrf.capture.ingest import write_frames
-from devrf.capture.photo_folders import list_pictures
+from devrf.capture.ingest.ingest import write_frames
+from devrf.capture.photos.photo_folders import list_pictures
 from devrf.capture.session import CaptureSession
 from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.bench_rows import Row

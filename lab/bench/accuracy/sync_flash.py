@@ -3,7 +3,7 @@
 import numpy as np
 
 from devrf.calibration.clocks.flash import Brightness, find_flashes, flash_delay
-from devrf.capture.clips import Keep, extract_clip
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
 from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.simulate.session.flash import RollingShutter, film_flashes

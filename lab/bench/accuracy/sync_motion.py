@@ -18,15 +18,15 @@ from devrf.calibration.formats import find_calibration
 from devrf.calibration.truth import Truth, compare_clocks, read_truth
 from devrf.capture.camera import Camera
 from devrf.capture.frames import FrameSet
-from devrf.capture.ingest import read_motion, write_frames
+from devrf.capture.ingest.ingest import read_motion, write_frames
 from devrf.capture.session import CaptureSession
-from devrf.capture.video import VideoReader
-from devrf.capture.video_writer import write_video
+from devrf.capture.video.reader import VideoReader
+from devrf.capture.video.video_writer import write_video
 from devrf.lab.bench.accuracy.cases import Cases, not_there
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.simulate_session import simulate_session
-from devrf.pipelines.clock_check import timed_pictures
+from devrf.pipelines.stages.scene.clock_check import timed_pictures
 from devrf.pipelines.stages.sync import used_times
 
 TRUTH = "ground_truth.json"

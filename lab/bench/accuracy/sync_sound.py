@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.signal import fftconvolve
 
 from devrf.calibration.clocks.sound import sound_delay
-from devrf.capture.audio import RATE_HZ, Sound, read_sound
+from devrf.capture.video.audio import RATE_HZ, Sound, read_sound
 from devrf.lab.bench.accuracy.cases import Cases, not_there
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.simulate.render.sensor import encode_sound

@@ -17,23 +17,24 @@ from typing import Any
 import typer
 from rich.console import Console
 
-from devrf.capture.errors import DevrfError, InputError
 from devrf.capture.measure import Verdict
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import DevrfError, InputError
 from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.damage.intact import Damage, Intact
-from devrf.pipelines.console import Talk
-from devrf.pipelines.exit_codes import BAD_INPUT, DONE, STOPPED
+from devrf.pipelines.run_folder.outcomes import read_health
+from devrf.pipelines.run_folder.workspace import is_disk_full
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice, read_health
-from devrf.pipelines.runner.run import Run
-from devrf.pipelines.runner.workspace import is_disk_full
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stage import Stage
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import NEEDS_TEST_VIEWS
 from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import STAMP, read_stamp
-from devrf.reconstruct.evaluate import motion_psnr
+from devrf.pipelines.terminal.console import Talk
+from devrf.pipelines.terminal.exit_codes import BAD_INPUT, DONE, STOPPED
+from devrf.reconstruct.evaluation.evaluate import motion_psnr
 
 LAST = "evaluate"  # what follows shows the result and does not change it
 TRAININGS = ("canonical", "deformation")

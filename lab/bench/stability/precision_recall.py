@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from devrf.lab.bench.stability.case import Result
 from devrf.lab.bench.stability.points import LEAST_GAIN_DB, Points, new_complaints, said
-from devrf.pipelines.health.training import MENDED
+from devrf.pipelines.health.training_rows import MENDED
 
 # lost where it moves: half of what motion must gain; other seeds differ by less
 SUFFERED_DB = LEAST_GAIN_DB / 2

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import rmtree
 
-from devrf.capture.errors import InputError
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import Progress, no_progress
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.lab.simulate_command import session_code
-from devrf.pipelines.console import Talk
+from devrf.pipelines.terminal.console import Talk
 
 SCENE, CAMERAS, SIZE = "sheet", 4, (240, 180)
 OPTIONS = SessionOptions(

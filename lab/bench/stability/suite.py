@@ -7,8 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from statistics import fmean
 
-from devrf.capture.errors import DevrfError, InputError
-from devrf.capture.formats.scene_files import read_scene
+from devrf.capture.formats.parts.scene_files import read_scene
+from devrf.capture.system.errors import DevrfError, InputError
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.case import UNDISTURBED, Result, is_made, run_case
@@ -17,8 +17,8 @@ from devrf.lab.bench.stability.damage.intact import DoesNotApply
 from devrf.lab.bench.stability.points import LEAST_GAIN_DB, Points, bar_db, points
 from devrf.lab.bench.stability.precision_recall import SUFFERED_DB, Heard, heard
 from devrf.lab.bench.training.trainings import Bench, spread
-from devrf.pipelines.console import Talk, duration
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.terminal.console import Talk, duration
 
 MEASURES = {
     "psnr_moving": "dB",

@@ -3,11 +3,11 @@
 import numpy as np
 
 from devrf.capture.scene import Scene, load_image
-from devrf.reconstruct.metrics import Comparison
-from devrf.reconstruct.model import DynamicModel, render_view
-from devrf.reconstruct.motion import MotionField
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.watch import Watch
+from devrf.reconstruct.evaluation.metrics import Comparison
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.motion import MotionField
+from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.storage.watch import Watch
 
 VIEWS = 6  # of the test views, spread over time
 

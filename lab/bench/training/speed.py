@@ -12,8 +12,8 @@ from devrf.lab.bench.training.published import PUBLISHED
 from devrf.lab.bench.training.trainings import Bench, device_name, score_rows
 from devrf.pipelines.config.scene import ReconstructConfig
 from devrf.reconstruct.options import Options
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_motion import train_motion
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_motion import train_motion
 
 AXES = {"seconds": "seconds of training", "megabytes": "megabytes", "fps": "pictures per second"}
 METRICS = {"psnr": "PSNR of test views, dB", "lpips_vgg": "LPIPS (VGG) of test views"}

@@ -14,31 +14,31 @@ import numpy as np
 import torch
 import typer
 
-from devrf.capture.errors import InputError
-from devrf.capture.formats.scene_files import read_scene
-from devrf.capture.progress import Progress
+from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import Progress
 from devrf.flow.store import CameraFlow, read_flows
 from devrf.lab.bench.bench_rows import Row, publish
 from devrf.lab.bench.training.progress_views import Looks
-from devrf.pipelines.exit_codes import DONE
-from devrf.pipelines.flow_clips import flow_estimator
+from devrf.pipelines.inputs.flow_clips import flow_estimator
+from devrf.pipelines.inputs.training_options import training_options
 from devrf.pipelines.runner.execute import execute
-from devrf.pipelines.runner.plan import Choice
-from devrf.pipelines.runner.run import Run
+from devrf.pipelines.runner.run_state import Run
+from devrf.pipelines.runner.standing import Choice
 from devrf.pipelines.stages import STAGES
 from devrf.pipelines.stages.evaluate import lpips_nets, versions
 from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import STAMP
-from devrf.pipelines.training_options import training_options
-from devrf.reconstruct.checkpoint import Checkpoint
-from devrf.reconstruct.evaluate import METRICS, LpipsNets, evaluate
-from devrf.reconstruct.model import render_view
-from devrf.reconstruct.model_io import load_deformation, load_rest, save_deformation, save_rest
+from devrf.pipelines.terminal.exit_codes import DONE
+from devrf.reconstruct.evaluation.evaluate import METRICS, LpipsNets, evaluate
+from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
-from devrf.reconstruct.rest_model import RestModel
-from devrf.reconstruct.train_canonical import train_canonical
-from devrf.reconstruct.train_deformation import train_deformation
+from devrf.reconstruct.rendering.model import render_view
+from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.storage.model_io import load_deformation, load_rest, save_deformation, save_rest
+from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.train_deformation import train_deformation
 
 UNITS = {"psnr": "dB", "ssim": "", "lpips_vgg": "", "lpips_alex": ""}
 

@@ -16,7 +16,8 @@ PAPER = (
 def run_views(bench: Bench, seeds: Sequence[int], json_path: Path) -> list[Row]:
     """Train with one camera, two, … all of them; print, draw and write what came of it.
 
-    Motion alone: the scene at rest is that of all of them, also where fixed cameras teach it (`reconstruct/plates.py`).
+    Motion alone: the scene at rest is that of all of them, also where fixed cameras teach it
+    (`reconstruct/sampling/plates.py`).
     """
     cameras = list(dict.fromkeys(f.camera_name for f in bench.scene.dynamic if f.split == "train"))
     results = {

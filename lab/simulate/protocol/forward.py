@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
 from devrf.capture.formats import FLIP_YZ
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
 from devrf.lab.simulate.protocol.simulate_dataset import Made, check_arguments, lens, scene_yaml

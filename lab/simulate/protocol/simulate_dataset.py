@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
 from devrf.capture.formats import FLIP_YZ
-from devrf.capture.progress import Progress, no_progress
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
 from devrf.lab.simulate.render.filmed import Film

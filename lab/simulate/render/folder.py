@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from devrf.capture.errors import InputError
-from devrf.capture.picture_files import write_png
-from devrf.capture.writable import check_folder
+from devrf.capture.photos.picture_files import write_png
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.writable import check_folder
 
 MADE_BY = "made_by.json"
 REVISION = 1  # raised when the same arguments give other pictures

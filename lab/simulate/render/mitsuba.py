@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.lab.simulate.scenes.catalogue import Mesh
 
 

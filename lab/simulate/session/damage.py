@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from devrf.capture.audio import INT16_MAX, read_sound
 from devrf.capture.camera import Camera
+from devrf.capture.colour.srgb import linear_from_srgb, srgb_from_linear
 from devrf.capture.scene import Scene
-from devrf.capture.srgb import linear_from_srgb, srgb_from_linear
-from devrf.capture.video import VideoReader
+from devrf.capture.video.audio import INT16_MAX, read_sound
+from devrf.capture.video.reader import VideoReader
 from devrf.lab.simulate.render.sensor import ClipWriter
 
 Picture = UInt8[np.ndarray, "height width 3"]

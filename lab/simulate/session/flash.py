@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.capture.video_writer import write_video
+from devrf.capture.video.video_writer import write_video
 
 WIDTH, HEIGHT = 64, 120
 BLOCK_PX = 8  # of the wall's pattern

@@ -26,9 +26,9 @@ from pathlib import Path
 import numpy as np
 
 from devrf.capture.camera import Camera
-from devrf.capture.errors import InputError
-from devrf.capture.progress import Progress, no_progress
-from devrf.capture.writable import check_folder
+from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import Progress, no_progress
+from devrf.capture.system.writable import check_folder
 from devrf.lab.simulate.render.mitsuba import load_mitsuba
 from devrf.lab.simulate.render.renderer import Finish, Renderer
 from devrf.lab.simulate.render.sensor import (

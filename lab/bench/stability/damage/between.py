@@ -11,7 +11,7 @@ from jaxtyping import Float32
 from devrf.calibration.rigs.rig import read_rig
 from devrf.capture.camera import Camera
 from devrf.capture.frames import FrameSet
-from devrf.capture.picture_files import read_pixels, write_png
+from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.flow.store import read_checks, read_pair, write_pair
 from devrf.lab.bench.stability.damage.intact import Damage, DoesNotApply, Intact, behind_scene

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.capture.errors import DevrfError
-from devrf.capture.formats.scene_files import read_scene, write_scene
+from devrf.capture.formats.parts.scene_files import read_scene, write_scene
 from devrf.capture.scene import Scene
+from devrf.capture.system.errors import DevrfError
 from devrf.pipelines.config.scene import CaptureConfig, SceneConfig
 from devrf.pipelines.stage import StageContext
 from devrf.reconstruct.options import Options

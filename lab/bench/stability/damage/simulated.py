@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from devrf.capture.errors import InputError
+from devrf.capture.system.errors import InputError
 from devrf.lab.bench.stability.damage.intact import Damage, Damaging, DoesNotApply, Intact, with_capture
 from devrf.lab.bench.stability.small_session import TRUTH, Simulated, is_rendered, rendered
 from devrf.lab.simulate.render.mitsuba import load_mitsuba

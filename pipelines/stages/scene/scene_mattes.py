@@ -1,0 +1,109 @@
+"""Mattes of a capture's pictures, by the method that scene.yaml names, and what follows from them for the scene."""
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from devrf.calibration.extent.matted import SceneMattes
+from devrf.calibration.extent.motion_masks import MASK_SIDE_PX
+from devrf.capture.camera import Camera
+from devrf.capture.frames import FrameSet
+from devrf.capture.mattes.chroma import parse_colour
+from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
+from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes, given_mattes
+from devrf.capture.photos.photo_folders import list_pictures
+from devrf.capture.scene import PosedFrame
+from devrf.capture.system.errors import DevrfError
+from devrf.capture.system.progress import Progress, part
+from devrf.pipelines.config.scene import MattesConfig
+from devrf.pipelines.health.left_out import left_out
+from devrf.pipelines.inputs.capture_session import raw_file
+from devrf.pipelines.stage import StageContext
+
+Maker = Callable[[Clip, Progress], CameraMattes]
+
+
+def scene_mattes(
+    context: StageContext,
+    frames: FrameSet,
+    static: tuple[PosedFrame, ...],
+    dynamic: tuple[PosedFrame, ...],
+    progress: Progress,
+) -> SceneMattes | None:
+    """Make the mattes; None where scene.yaml asks for none."""
+    capture = context.config.capture
+    assert capture is not None
+    if capture.mattes is None:
+        return None
+    out = context.out / "mattes"
+    clips = _clips(context, frames, static, dynamic)
+    make, names = _maker(capture.mattes, context, out, list(clips))
+    made: dict[str, CameraMattes] = {}
+    for n, name in enumerate(names):
+        try:
+            made[name] = make(clips[name], part(progress, n / len(names), 1 / len(names)))
+        except DevrfError as error:
+            if name not in frames.tests:
+                raise
+            context.measures.append(left_out(name, str(error)))
+            dynamic = tuple(frame for frame in dynamic if frame.camera_name != name)
+    matte_of = {
+        picture: matte
+        for name, mattes in made.items()
+        for picture, matte in zip(clips[name].files, mattes.files, strict=True)
+    }
+
+    def matted(of: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:
+        return tuple(replace(f, matte=matte_of.get(f.path)) for f in of)
+
+    small: dict[str, list[Camera]] = {name: [] for name in made}
+    for frame in (*static, *dynamic):
+        if frame.camera_name in small:
+            small[frame.camera_name].append(_small(frame.camera))
+    trained = clips.keys() - frames.tests.keys()
+    everywhere = bool(static) and trained <= set(names)
+    return SceneMattes(matted(static), matted(dynamic), made, small, everywhere)
+
+
+def _maker(
+    mattes: MattesConfig, context: StageContext, out: Path, names: list[str]
+) -> tuple[Maker, tuple[str, ...]]:
+    """What makes one camera's mattes, and of which cameras."""
+    if mattes.method == "chroma":
+        colour = None if mattes.colour == "auto" else parse_colour(mattes.colour)
+        return (lambda clip, progress: chroma_mattes(clip, colour, out, progress)), tuple(names)
+    assert mattes.folder is not None
+    folder = context.config.path(context.scene_dir, mattes.folder)
+    inverted = None if mattes.inverted == "auto" else mattes.inverted
+    found = cameras_with_mattes(folder, [name for name in names if name != SWEEP], SWEEP in names)
+    return (lambda clip, progress: given_mattes(clip, folder / clip.camera, inverted, out, progress)), found
+
+
+def _clips(
+    context: StageContext, frames: FrameSet, static: tuple[PosedFrame, ...], dynamic: tuple[PosedFrame, ...]
+) -> dict[str, Clip]:
+    """The scene's pictures by camera, the sweep first; photos with the names they came with."""
+    by_camera: dict[str, list[PosedFrame]] = defaultdict(list)
+    for frame in (*static, *dynamic):
+        by_camera[frame.camera_name].append(frame)
+    clips = {}
+    for name, of_camera in by_camera.items():
+        filmed = frames.cameras[name]
+        photos = (
+            None
+            if filmed.fps_mean is not None
+            else list_pictures(raw_file(context.config, context.scene_dir, name))
+        )
+        small = [_small(f.camera) for f in of_camera]
+        clips[name] = Clip(
+            camera=name,
+            files=tuple(f.path for f in of_camera),
+            names={f.index: None if photos is None else photos[f.index].name for f in of_camera},
+            small_sizes=tuple((camera.width, camera.height) for camera in small),
+        )
+    return clips
+
+
+def _small(camera: Camera) -> Camera:
+    return camera.scaled(min(1.0, MASK_SIDE_PX / max(camera.width, camera.height)))

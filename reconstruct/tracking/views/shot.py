@@ -1,0 +1,206 @@
+"""What one picture says of the points that its camera sees, and of where they should be."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from devrf.capture.camera import Camera
+from devrf.reconstruct.tracking.offsets import Shown
+from devrf.reconstruct.tracking.solver.solve import Pulls
+from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.views.film import Picture, blurred, sampled
+from devrf.reconstruct.tracking.views.sight import Sight
+from devrf.reconstruct.tracking.views.templates import LIKE_PX, Templates
+
+LEAST_SIGMA = 0.7  # of a picture that is not blurred, as a weight
+CONTRAST = 20.0  # pixels that a brightness of 1 (of the logarithm) is worth
+HUBER_FLOW, HUBER_DRAWN, HUBER_CONTRAST = 1.0, 1.5, 0.1  # pixels, pixels, brightness
+HUBER_SHOWN = 5.0  # pixels: clocks that are wrong leave more than tracks that are
+FEWEST_SEEN, FEWEST_ASKED = 20, 5  # points, of which a camera says something; of those that are asked about
+MARGIN_PX = 48  # around points that are asked about
+DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
+
+
+class Sum:
+    """Quadratics of points, added up."""
+
+    def __init__(self, points: int) -> None:
+        self.hessian, self.gradient = np.zeros((points, 3, 3)), np.zeros((points, 3))
+
+    def add(self, points: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> None:
+        """Add weighted squares of residuals [m, r] of points with derivatives [m, r, 3]; each point at most once."""
+        fine = np.isfinite(residual).all(1) & np.isfinite(jacobian).all((1, 2)) & np.isfinite(weight)
+        points, jacobian, residual, weight = (x[fine] for x in (points, jacobian, residual, weight))
+        weighted = jacobian * weight[:, None, None]
+        self.hessian[points] += np.einsum("mra,mrb->mab", jacobian, weighted)
+        self.gradient[points] += np.einsum("mra,mr->ma", weighted, residual)
+
+    def join(self, other: "Sum") -> None:
+        """Add all of another's."""
+        self.hessian += other.hessian
+        self.gradient += other.gradient
+
+    def of(self, points: Bool[np.ndarray, " p"] | None = None) -> Pulls:
+        """What some of the points want; None: all of them."""
+        if points is None:
+            return Pulls(self.hessian, self.gradient)
+        return Pulls(self.hessian * points[:, None, None], self.gradient * points[:, None])
+
+
+@dataclass
+class _Contrast:
+    """Brightness of a drawn and of a real picture at points, to first order around their pixels."""
+
+    apart: Float[np.ndarray, "m 3"]
+    slope: Float[np.ndarray, "m 3 2"]
+    weight: float
+
+
+class Shot:
+    """One picture at one moment: what it says of the points that its camera sees."""
+
+    def __init__(self, camera: int, templates: Templates, n: int, share: float) -> None:
+        self.camera, self.templates, self.film = camera, templates, templates.film
+        self.n, self.share = n, share
+        none = np.zeros(0, dtype=int)
+        self.came: tuple[np.ndarray, np.ndarray, np.ndarray] = none, np.zeros((0, 2)), np.zeros(0)
+        self.points: Int[np.ndarray, " m"] = none
+
+    def come(
+        self,
+        begin: int,
+        xyz: np.ndarray,
+        normals: np.ndarray,
+        spacing: float,
+        known: np.ndarray,
+        far: bool = False,
+    ) -> None:
+        """Where optical flow brings `known` points from picture `begin`, in which they are at `xyz`, to this one.
+
+        It goes from picture to picture. `far`: by flow that finds longer ways and is less exact. What else was known of
+        the picture is forgotten.
+        """
+        self.points = self.points[:0]
+        sight = Sight(self.film, xyz, normals, spacing)
+        points = np.flatnonzero(sight.seen & known)
+        if len(points) < FEWEST_SEEN:
+            return
+        film, at, off = self.film, sight.at[points], np.zeros(len(points), np.float32)
+        high = film.wide if far else film.sharp
+        for n in range(begin, self.n):
+            flow, missed = film.flow(*(film.for_flow(film.picture(k), high(k)) for k in (n, n + 1)))
+            off += sampled(missed, at) ** 2
+            at = at + sampled(flow, at)
+        self.came = points, at, np.exp(-off)
+
+    def look(
+        self,
+        xyz: np.ndarray,
+        normals: np.ndarray,
+        surface: Surface,
+        sigmas: tuple[float, ...],
+        asked: Bool[np.ndarray, " p"] | None = None,
+    ) -> None:
+        """Draw what the picture should show with points at `xyz`, and hold it against the picture.
+
+        Where only some points are asked about, what is around them is looked at, and nothing else is said.
+        """
+        sight = Sight(self.film, xyz, normals, surface.spacing)
+        self.points, fewest = self.templates.known(sight), FEWEST_SEEN
+        if asked is not None:
+            self.points, fewest = self.points[asked[self.points]], FEWEST_ASKED
+        if len(self.points) < fewest:
+            self.points = self.points[:0]
+            return
+        at = sight.at[self.points]
+        first, cut = np.zeros(2), np.s_[:, :]
+        if asked is not None:
+            self.came = self.points[:0], at[:0], np.zeros(0)
+            first = np.maximum(at.min(0) - MARGIN_PX, 0).astype(int)
+            last = (at.max(0) + MARGIN_PX).astype(int)
+            cut = np.s_[first[1] : last[1], first[0] : last[0]]
+        film, picture = self.film, self.templates.draw(sight, surface.rgb.astype(np.float32))[cut]
+        drawn, real = film.high_pass(picture), np.ascontiguousarray(film.sharp(self.n)[cut])
+        self.at, inside = at, at - first
+        flow, missed = film.flow(
+            film.for_flow(picture, drawn), film.for_flow(film.picture(self.n)[cut], real)
+        )
+        self.flow = at + sampled(flow, inside), np.exp(-(sampled(missed, inside) ** 2))
+        self.drawn = sampled(blurred(drawn, LIKE_PX), inside)
+        self.contrasts = []
+        for sigma in sigmas:
+            one, other = blurred(drawn, sigma), blurred(real, sigma)
+            along, down = np.gradient(one + other, axis=1), np.gradient(one + other, axis=0)
+            gradient = 0.5 * np.stack([along, down], -1)
+            slope = sampled(gradient.reshape(*one.shape[:2], -1), inside).reshape(-1, 3, 2)
+            apart = sampled(other, inside) - sampled(one, inside)
+            self.contrasts.append(_Contrast(apart, slope, max(sigma, LEAST_SIGMA)))
+
+    def likeness(self, xyz: np.ndarray) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        """Points, and whether the picture shows them, at `xyz`, 1, or what stands behind them, -1.
+
+        Only of points that were drawn when it was last looked at, and look other than what stands.
+        """
+        if not len(self.points):
+            return self.points, np.zeros(0)
+        at = self.film.camera.project(xyz[self.points])
+        behind = sampled(self.templates.behind, at)
+        real = sampled(self._even, at)
+        apart = np.linalg.norm(self.drawn - behind, axis=1)
+        vote = np.linalg.norm(real - behind, axis=1) - np.linalg.norm(real - self.drawn, axis=1)
+        telling = (apart > DISTINCT) & np.isfinite(at).all(1)
+        return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
+
+    def shown(self, xyz: np.ndarray, known: np.ndarray) -> Shown:
+        """Where the picture shows `known` points that are expected at `xyz` when it is taken."""
+        mine = known[self.points]
+        points = self.points[mine]
+        if not len(points):
+            return Shown(points, np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
+        target, weight = (values[mine] for values in self.flow)
+        left = target - self.film.camera.project(xyz[points])
+        weight = weight * _huber(np.linalg.norm(left, axis=1), HUBER_SHOWN)
+        fine = np.isfinite(left).all(1)
+        return Shown(*(x[fine] for x in (points, left, _derivative(self.film.camera, xyz[points]), weight)))
+
+    @cached_property
+    def _even(self) -> Picture:
+        """The picture as points are compared with it."""
+        return blurred(self.film.sharp(self.n), LIKE_PX)
+
+    def pull(self, xyz: np.ndarray, pulls: Sum) -> None:
+        """Add what the picture wants of points that are at `xyz` when it is taken."""
+        camera = self.film.camera
+        points, target, weight = self.came
+        if len(points):
+            residual = camera.project(xyz[points]) - target
+            weight = weight * _huber(np.linalg.norm(residual, axis=1), HUBER_FLOW)
+            pulls.add(points, _derivative(camera, xyz[points]) * self.share, residual, weight)
+        if not len(self.points):
+            return
+        derivative = _derivative(camera, xyz[self.points]) * self.share
+        at = camera.project(xyz[self.points])
+        target, weight = self.flow
+        weight = weight * _huber(np.linalg.norm(at - target, axis=1), HUBER_DRAWN)
+        pulls.add(self.points, derivative, at - target, weight)
+        for contrast in self.contrasts:
+            residual = contrast.apart + np.einsum("mij,mj->mi", contrast.slope, at - self.at)
+            weight = contrast.weight * _huber(np.abs(residual).max(1), HUBER_CONTRAST)
+            jacobian = CONTRAST * np.einsum("mij,mjk->mik", contrast.slope, derivative)
+            pulls.add(self.points, jacobian, CONTRAST * residual, weight)
+
+
+def _derivative(camera: Camera, xyz: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 2 3"]:
+    """Of pixels by points, without the lens's distortion, which changes little from pixel to pixel."""
+    R = camera.cam_from_world[:, :3]
+    x, y, z = (xyz @ R.T + camera.cam_from_world[:, 3]).T
+    fx, fy, zero = camera.K[0, 0], camera.K[1, 1], np.zeros_like(z)
+    rows = [[fx / z, zero, -fx * x / z**2], [zero, fy / z, -fy * y / z**2]]
+    return np.stack([np.stack(row, -1) for row in rows], -2) @ R
+
+
+def _huber(length: np.ndarray, least: float) -> np.ndarray:
+    """Weight of a residual of a length: 1, and less beyond `least` (Huber 1964)."""
+    return np.minimum(1, least / np.maximum(length, 1e-9))

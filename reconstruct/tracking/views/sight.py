@@ -1,0 +1,60 @@
+"""Which surface points a camera sees: points are drawn as small squares, the nearest one counts."""
+
+import numpy as np
+
+from devrf.reconstruct.tracking.views.film import Film
+
+BEHIND = 0.03  # box units: what stands hides what is farther behind it than this
+SLACK = 0.05  # box units: points this little behind the one that is drawn are seen, too
+FACING = 0.15  # cosine between the normal and the direction to the camera
+LARGEST = 4  # pixels: half the side of a square
+
+
+class Sight:
+    """What a film's camera sees of points at a moment.
+
+    Attributes:
+        ids: Point drawn at each pixel, -1: none [h, w].
+        at: Of the points in the picture, pixels [n, 2]; NaN behind the camera.
+        seen: Whether a point is seen [n].
+    """
+
+    def __init__(self, film: Film, xyz: np.ndarray, normals: np.ndarray, spacing: float) -> None:
+        camera = film.camera
+        self.at = camera.project(xyz)
+        z = (xyz @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3])[:, 2]
+        self.ids, depth = _drawn(film, self.at, z, spacing)
+        size = np.array([camera.width, camera.height])
+        inside = np.all((self.at > 1) & (self.at < size - 1), axis=1)  # NaN is not
+        pixel = np.where(inside[:, None], self.at, 0).astype(int)
+        x, y = pixel.T
+        towards = camera.centre - xyz
+        facing = (towards * normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
+        drawn = self.ids[y, x] >= 0
+        self.seen = inside & facing & drawn & (z < depth[y, x] + SLACK)
+        self.pixel = pixel
+
+
+def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """The point at each pixel, -1 where there is none or what stands hides it, and its depth."""
+    camera = film.camera
+    width, height = camera.width, camera.height
+    near = np.isfinite(at).all(1) & (z > 0)
+    near &= ((at > -LARGEST) & (at < np.array([width, height]) + LARGEST)).all(1)
+    points = np.flatnonzero(near)
+    # Of several points for a pixel the last one stays: the nearest.
+    points = points[np.argsort(-z[points], kind="stable")]
+    radius = np.clip(np.ceil(0.5 * spacing * camera.K[0, 0] / z[points]), 1, LARGEST).astype(int)  # rises
+    margin = 2 * LARGEST  # no square of these points ends beyond it
+    wide = width + 2 * margin
+    ids = np.full((height + 2 * margin) * wide, -1)
+    centre = (np.floor(at[points]).astype(int) + margin) @ [1, wide]
+    for r in np.unique(radius):
+        y, x = np.mgrid[-r : r + 1, -r : r + 1]
+        disc = (y * wide + x)[x * x + y * y <= r * r + 1]
+        mine = radius == r
+        ids[centre[mine, None] + disc] = points[mine, None]
+    ids = ids.reshape(-1, wide)[margin:-margin, margin:-margin]
+    depth = np.where(ids >= 0, z[ids], np.inf)
+    ids = np.where(film.depth < depth - BEHIND, -1, ids)
+    return ids, depth
