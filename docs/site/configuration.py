@@ -1,4 +1,7 @@
-"""docs/configuration.md and the JSON schema, from that of scene.yaml: `python docs/site/configuration.py [FILE]`."""
+"""docs/configuration.md and the JSON schema, from that of scene.yaml: `python docs/site/configuration.py [FILE]`.
+
+The page ends with the options of `simulate`, which are strict models too.
+"""
 
 import json
 import sys
@@ -58,7 +61,8 @@ def main(page: Path, json_schema: Path) -> None:
         **{k: v for k, v in schema.items() if k != "title"},
     }
     json_schema.write_text(json.dumps(whole, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    page.write_text("\n".join([HEAD, *tables("", schema, schema["$defs"])]), encoding="utf-8")
+    lines = [HEAD, *tables("", schema, schema["$defs"]), *options_of_simulate()]
+    page.write_text("\n".join(lines), encoding="utf-8")
 
 
 def tables(section: str, schema: dict[str, Any], definitions: dict[str, Any]) -> Iterator[str]:
@@ -81,6 +85,21 @@ def tables(section: str, schema: dict[str, Any], definitions: dict[str, Any]) ->
     yield ""
     for key, model in inner.items():
         yield from tables(key, model, definitions)
+
+
+def options_of_simulate() -> Iterator[str]:
+    """Heading and a table for each protocol of `simulate`."""
+    from devrf.lab.simulate_command import PROTOCOLS
+
+    yield "## Options of simulate\n"
+    yield "Each option is set with `--set name=value`; which ones there are depends on `--protocol`.\n"
+    for protocol, made in PROTOCOLS.items():
+        yield f"### `{protocol}`\n\n| option | takes | default | meaning |\n|---|---|---|---|"
+        for option, field in made.options.model_json_schema()["properties"].items():
+            meaning = " ".join(field["description"].split())
+            cells = (f"`{option}`", words(field), default_of(option, field, False), meaning)
+            yield "| " + " | ".join(cells) + " |"
+        yield ""
 
 
 def kinds(field: dict[str, Any]) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from mkdocs.structure.pages import Page
 
 OUTSIDE = re.compile(r"\]\(\.\./([^)#\s]+)")  # a link out of docs/, as GitHub follows it
 COPIES = "repository"  # folder of the site
+INSIDE = re.compile(r"\]\(((?:\.\./)+)docs/")  # a link from a page elsewhere in the repository into docs/
 
 
 def on_files(files: Files, config: MkDocsConfig) -> None:
@@ -22,5 +23,7 @@ def on_files(files: Files, config: MkDocsConfig) -> None:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lead links out of docs/ to the copies."""
+    """Lead links out of docs/ to the copies, and those of copied pages back to the pages of docs/."""
+    if page.file.src_uri.startswith(f"{COPIES}/"):
+        return INSIDE.sub(r"](\1../", markdown)
     return OUTSIDE.sub(rf"]({COPIES}/\1", markdown)

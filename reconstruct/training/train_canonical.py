@@ -301,7 +301,7 @@ class _Recipe:
         self.density.update(lr_grid)
         if self.surround is not None and self.shell is not None:
             # Plain first, where pictures leave it open. To the end it takes detail away: 0.3 to 0.4 dB of a room with
-            # shelves (docs/results.md, What stands).
+            # shelves (docs/results.md, Static background).
             if self.shell.size < self.shell.final:
                 around, weights = self.surround, self.shell_variation / rays
                 add_touched_variation(around.values, around.grad, around.reachable, weights, VARIATION_CLAMP)

@@ -99,6 +99,8 @@ def test_what_the_page_of_keys_says() -> None:
     assert ROWS["evaluate.holdout_every"][1] == "`8`"
     assert ROWS["reconstruct.resolution"][1] == "`112` · `160` · `160`"
     assert [ROWS[key][3] for key in ("evaluate.truth", "budget.memory_gb")] == ["evaluate", "–"]
+    simulate = (DOCS / "configuration.md").read_text(encoding="utf-8").split("## Options of simulate")[1]
+    assert "\n| `sweep_frames` | whole number from 2 to 2000 | `72` | Pictures of the sweep" in simulate
 
 
 # --- links ---

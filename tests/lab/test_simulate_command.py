@@ -123,14 +123,3 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     for protocol in simulate_command.PROTOCOLS:
         with refused("folder-unwritable", tmp_path / "file", kind=InputError):
             simulate_command.simulate(Talk(), tmp_path / "file" / "x", None, protocol, None, 0, None, [])
-
-
-def test_every_option_is_documented() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text()
-    rows = page.split("### Options of simulate")[1].split("\n## ")[0].splitlines()
-    for protocol in simulate_command.PROTOCOLS.values():
-        for name, field in protocol.options.model_fields.items():
-            default = str(field.default).lower().replace("(", "[").replace(")", "]")
-            assert any(row.startswith(f"| `{name}`") and default in row for row in rows), (
-                f"{name} = {default}"
-            )
