@@ -24,10 +24,11 @@ from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.runs import Arrays
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose, pieces
+from devrf.reconstruct.tracking.solver.quadratics import Sum
 from devrf.reconstruct.tracking.solver.solve import step
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.tracking.views.film import Film
-from devrf.reconstruct.tracking.views.shot import Shot, Sum
+from devrf.reconstruct.tracking.views.shot import Shot
 from devrf.reconstruct.tracking.views.sight import Sight
 from devrf.reconstruct.tracking.views.templates import Templates
 
@@ -38,6 +39,7 @@ SIGMAS = (
 FARTHER = ((5.0, 2.5), (1.2, 0.0))  # the same where something is looked for again
 STEPS = 2  # of Gauss-Newton, of each
 LEARN_EVERY, SEEK_EVERY = 4, 4  # moments
+LEFT_OUT = 24  # pictures of each camera at least, where it has as many: neighbours tell the same
 LOST, AGAIN = 0.25, 0.1  # likeness below which a node is lost; how much more another guess must bring
 FEWEST_LOST = 2  # nodes for which other guesses are tried
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
@@ -212,12 +214,17 @@ class Follower:
         self.offsets.add({s.camera: s.shown(was + s.share * way, known) for s in shots}, way, self.gap)
 
     def _leave_out(self, shots: Sequence[Shot], found: Pose, expected: Pose) -> None:
-        """Hold each picture against points where the others alone want them: one more step, without what it pulls."""
+        """Hold pictures against points where the others alone want them: one more step, without what one pulls."""
+        asked = [shot for shot in shots if shot.n % max(1, len(shot.film.times) // LEFT_OUT) == 0]
+        if not asked:
+            return
         now, xyz, believed = self.xyz[-1], self.graph.points(found), self._believed()
         pulls = [Sum(len(self.surface)) for _ in shots]
         for shot, own in zip(shots, pulls, strict=True):
             shot.pull(now + shot.share * (xyz - now), own)
         for shot, own in zip(shots, pulls, strict=True):
+            if shot not in asked:
+                continue
             others = Sum(len(self.surface))
             for other in pulls:
                 if other is not own:

@@ -69,6 +69,17 @@ class Graph:
         self.edges = self._edges(along[:, chosen])
         self.piece: Int[np.ndarray, " n"] = pieces(self.edges, len(self.nodes))
         self.blocks = Blocks.of(self.followed, self.edges, len(self.nodes))
+        one = np.ones((*self.followed.shape, 1))
+        self._follow = self._sums(self.weights[..., None] * one)
+        self._places = self._sums(self.weights[..., None] * np.concatenate([self.offsets, one], axis=2))
+
+    def _sums(self, values: Float[np.ndarray, "p k c"]) -> csr_matrix:
+        """Matrix of sums over the nodes that each point follows, of c rows of each node."""
+        columns = values.shape[2]
+        at = self.followed[..., None] * columns + np.arange(columns)
+        rows = np.broadcast_to(np.arange(len(values))[:, None, None], at.shape)
+        shape = len(values), columns * len(self.nodes)
+        return csr_matrix((values.ravel(), (rows.ravel(), at.ravel())), shape=shape)
 
     def _edges(self, along: Float[np.ndarray, "n n"]) -> Int[np.ndarray, "e 2"]:
         n = len(self.nodes)
@@ -89,14 +100,13 @@ class Graph:
 
     def points(self, pose: Pose) -> Float[np.ndarray, "p 3"]:
         """Where all points are."""
-        turned = np.einsum("pkij,pkj->pki", pose.rotations[self.followed], self.offsets)
-        moved = turned + (self.nodes + pose.shifts)[self.followed]
-        return (self.weights[..., None] * moved).sum(1)
+        there = np.concatenate([pose.rotations.mT, (self.nodes + pose.shifts)[:, None]], axis=1)
+        return self._places @ there.reshape(-1, 3)
 
     def turned(self, pose: Pose, vectors: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
         """Vectors of the points, such as normals."""
-        each = np.einsum("pkij,pj->pki", pose.rotations[self.followed], vectors)
-        return (self.weights[..., None] * each).sum(1)
+        turns = (self._follow @ pose.rotations.reshape(-1, 9)).reshape(-1, 3, 3)
+        return np.einsum("pij,pj->pi", turns, vectors)
 
 
 def pieces(pairs: Int[np.ndarray, "k 2"], number: int) -> Int[np.ndarray, " n"]:

@@ -6,9 +6,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.offsets import Shown
-from devrf.reconstruct.tracking.solver.solve import Pulls
+from devrf.reconstruct.tracking.solver.quadratics import Seen, Sum, derivative, huber_weight
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.tracking.views.film import Picture, blurred, sampled
 from devrf.reconstruct.tracking.views.sight import Sight
@@ -21,32 +20,6 @@ HUBER_SHOWN = 5.0  # pixels: clocks that are wrong leave more than tracks that a
 FEWEST_SEEN, FEWEST_ASKED = 20, 5  # points, of which a camera says something; of those that are asked about
 MARGIN_PX = 48  # around points that are asked about
 DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
-
-
-class Sum:
-    """Quadratics of points, added up."""
-
-    def __init__(self, points: int) -> None:
-        self.hessian, self.gradient = np.zeros((points, 3, 3)), np.zeros((points, 3))
-
-    def add(self, points: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> None:
-        """Add weighted squares of residuals [m, r] of points with derivatives [m, r, 3]; each point at most once."""
-        fine = np.isfinite(residual).all(1) & np.isfinite(jacobian).all((1, 2)) & np.isfinite(weight)
-        points, jacobian, residual, weight = (x[fine] for x in (points, jacobian, residual, weight))
-        weighted = jacobian * weight[:, None, None]
-        self.hessian[points] += np.einsum("mra,mrb->mab", jacobian, weighted)
-        self.gradient[points] += np.einsum("mra,mr->ma", weighted, residual)
-
-    def join(self, other: "Sum") -> None:
-        """Add all of another's."""
-        self.hessian += other.hessian
-        self.gradient += other.gradient
-
-    def of(self, points: Bool[np.ndarray, " p"] | None = None) -> Pulls:
-        """What some of the points want; None: all of them."""
-        if points is None:
-            return Pulls(self.hessian, self.gradient)
-        return Pulls(self.hessian * points[:, None, None], self.gradient * points[:, None])
 
 
 @dataclass
@@ -161,9 +134,9 @@ class Shot:
             return Shown(points, np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
         target, weight = (values[mine] for values in self.flow)
         left = target - self.film.camera.project(xyz[points])
-        weight = weight * _huber(np.linalg.norm(left, axis=1), HUBER_SHOWN)
+        weight = weight * huber_weight(np.linalg.norm(left, axis=1), HUBER_SHOWN)
         fine = np.isfinite(left).all(1)
-        return Shown(*(x[fine] for x in (points, left, _derivative(self.film.camera, xyz[points]), weight)))
+        return Shown(*(x[fine] for x in (points, left, derivative(self.film.camera, xyz[points]), weight)))
 
     @cached_property
     def _even(self) -> Picture:
@@ -172,35 +145,17 @@ class Shot:
 
     def pull(self, xyz: np.ndarray, pulls: Sum) -> None:
         """Add what the picture wants of points that are at `xyz` when it is taken."""
-        camera = self.film.camera
         points, target, weight = self.came
         if len(points):
-            residual = camera.project(xyz[points]) - target
-            weight = weight * _huber(np.linalg.norm(residual, axis=1), HUBER_FLOW)
-            pulls.add(points, _derivative(camera, xyz[points]) * self.share, residual, weight)
+            pulls.add_places(self._seen(points, xyz), target, weight, HUBER_FLOW)
         if not len(self.points):
             return
-        derivative = _derivative(camera, xyz[self.points]) * self.share
-        at = camera.project(xyz[self.points])
-        target, weight = self.flow
-        weight = weight * _huber(np.linalg.norm(at - target, axis=1), HUBER_DRAWN)
-        pulls.add(self.points, derivative, at - target, weight)
+        seen = self._seen(self.points, xyz)
+        pulls.add_places(seen, *self.flow, HUBER_DRAWN)
         for contrast in self.contrasts:
-            residual = contrast.apart + np.einsum("mij,mj->mi", contrast.slope, at - self.at)
-            weight = contrast.weight * _huber(np.abs(residual).max(1), HUBER_CONTRAST)
-            jacobian = CONTRAST * np.einsum("mij,mjk->mik", contrast.slope, derivative)
-            pulls.add(self.points, jacobian, CONTRAST * residual, weight)
+            weight = contrast.weight * CONTRAST**2
+            pulls.add_brightness(seen, contrast.apart, contrast.slope, self.at, weight, HUBER_CONTRAST)
 
-
-def _derivative(camera: Camera, xyz: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 2 3"]:
-    """Of pixels by points, without the lens's distortion, which changes little from pixel to pixel."""
-    R = camera.cam_from_world[:, :3]
-    x, y, z = (xyz @ R.T + camera.cam_from_world[:, 3]).T
-    fx, fy, zero = camera.K[0, 0], camera.K[1, 1], np.zeros_like(z)
-    rows = [[fx / z, zero, -fx * x / z**2], [zero, fy / z, -fy * y / z**2]]
-    return np.stack([np.stack(row, -1) for row in rows], -2) @ R
-
-
-def _huber(length: np.ndarray, least: float) -> np.ndarray:
-    """Weight of a residual of a length: 1, and less beyond `least` (Huber 1964)."""
-    return np.minimum(1, least / np.maximum(length, 1e-9))
+    def _seen(self, points: Int[np.ndarray, " m"], xyz: np.ndarray) -> Seen:
+        camera = self.film.camera
+        return Seen(points, xyz[points], camera.project(xyz[points]), camera, self.share)
