@@ -107,7 +107,7 @@ def imported(file: Path) -> set[str]:
     What is imported only for the type checkers never runs.
     """
     found: set[str] = set()
-    todo = [ast.parse(file.read_text("utf-8"))] if file.suffix == ".py" else []
+    todo: list[ast.AST] = [ast.parse(file.read_text("utf-8"))] if file.suffix == ".py" else []
     while todo:
         node = todo.pop()
         if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
