@@ -3,7 +3,7 @@
     python -m benchmarks.viewer RUN [--device cpu] [--json rows.json]
 
 Measured is all that this program does for a picture: rendering as for a view that moves (another camera and another
-time for each), colours as bytes, depth, and viser's own encoding; the network and the page are not. The first picture
+time for each), colours as bytes, and viser's own encoding; the network and the page are not. The first picture
 is that of a model that has been read, by kernels that have been compiled, in the size that the viewer begins with.
 """
 
@@ -19,8 +19,9 @@ from devrf.capture.photos.picture_files import to_8_bits
 from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.inputs.device import resolve_device
 from devrf.pipelines.viewer.progressive import FIRST, at_most
-from devrf.pipelines.viewer.server import CHUNK_CPU, QUALITY_MOVING, first_camera, hiding_depth
+from devrf.pipelines.viewer.server import QUALITY_MOVING
 from devrf.pipelines.viewer.source import Loaded, load, look
+from devrf.pipelines.viewer.views import first_camera
 from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
 from devrf.reconstruct.geometry.paths import orbit
 from devrf.reconstruct.rendering.model import render_layers
@@ -37,7 +38,7 @@ def main() -> None:
     if device == "cpu":
         torch.set_num_threads(1)  # as the viewer does
     begin = time.perf_counter()
-    loaded = load(chosen.run, look(chosen.run), device, Loaded())
+    loaded = load(chosen.run, look(chosen.run), device)
     if loaded.model is None or loaded.scene is None:
         raise SystemExit(f"{chosen.run}: no trained model; run the scene first")
     rows = [Row("viewer/model read", time.perf_counter() - begin, "s"), *_measured(loaded, device)]
@@ -48,17 +49,13 @@ def _measured(loaded: Loaded, device: str) -> list[Row]:
     """Rows of pictures that are sent to nobody."""
     model, scene = loaded.model, loaded.scene
     assert model is not None and scene is not None
-    if device == "cpu":
-        model.chunk = CHUNK_CPU
     rich.get_console().quiet = True  # where viser speaks
     server = viser.ViserServer(host="127.0.0.1", port=8990, verbose=False)
 
     def send(camera: Camera, moment: float) -> None:
         shown = None if model.motion is None else moment
-        layers = render_layers(model, camera, shown, roughly=True)
-        server.scene.set_background_image(
-            to_8_bits(layers[0]), "jpeg", jpeg_quality=QUALITY_MOVING, depth=hiding_depth(camera, layers)
-        )
+        picture = to_8_bits(render_layers(model, camera, shown, roughly=True)[0])
+        server.scene.set_background_image(picture, "jpeg", jpeg_quality=QUALITY_MOVING)
         if device == "cuda":
             torch.cuda.synchronize()
 

@@ -74,6 +74,11 @@ class Camera:
         return -self.cam_from_world[:, :3].T @ self.cam_from_world[:, 3]
 
     @property
+    def fov_y(self) -> float:
+        """Angle that its picture is high, radians; without distortion."""
+        return float(2 * np.arctan(self.height / 2 / self.K[1, 1]))
+
+    @property
     def world_from_cam(self) -> Float[np.ndarray, "4 4"]:
         """Inverse pose [4, 4]."""
         out = np.eye(4)

@@ -114,6 +114,24 @@ class CameraFrames:
         """The frames that later stages use."""
         return tuple(frame for frame in self.frames if frame.used)
 
+    def filmed(self, folder: Path) -> "list[Filmed]":
+        """The pictures of the frames that are used, where they were kept and their time is known.
+
+        Args:
+            folder: That of ingest.
+        """
+        kept = [(f.index, f.file, f.time_s) for f in self.used]
+        return [Filmed(n, folder / file, t) for n, file, t in kept if file is not None and t is not None]
+
+
+@dataclass(frozen=True)
+class Filmed:
+    """A picture on disk: its frame's position in the clip, its file and its file time, seconds."""
+
+    index: int
+    file: Path
+    time_s: float
+
 
 @dataclass(frozen=True)
 class FrameSet:

@@ -157,6 +157,14 @@ class Scene:
         )
 
 
+def by_camera(frames: Iterable[PosedFrame]) -> dict[str, list[PosedFrame]]:
+    """The frames of each camera, all in their order."""
+    found: dict[str, list[PosedFrame]] = {}
+    for frame in frames:
+        found.setdefault(frame.camera_name, []).append(frame)
+    return found
+
+
 def plain_colour(background: Background) -> tuple[float, float, float] | None:
     """RGB in [0, 1] of a plain background; None for `shell`, where the surroundings are seen.
 

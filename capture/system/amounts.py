@@ -1,4 +1,4 @@
-"""Amounts of memory and disk."""
+"""Amounts of memory and disk, and numbers of things, for people."""
 
 GB = 1e9  # bytes
 
@@ -8,3 +8,8 @@ def size_text(count: int | float) -> str:
     if count < 0.1 * GB:
         return f"{max(0.0, count) / 1e6:.0f} MB"
     return f"{count / GB:.2g} GB" if count < 99 * GB else f"{count / GB:.0f} GB"
+
+
+def counted(count: int, thing: str) -> str:
+    """1 photo, 2 photos."""
+    return f"{count} {thing}" + ("s" if count != 1 else "")

@@ -18,22 +18,32 @@ from devrf.pipelines.terminal.shared_options import configured
 
 @dataclass(frozen=True)
 class Options:
-    """What every scene of a batch is run with; the options of `run` with these names.
+    """What a batch is asked for: with what every scene is run, as by the options of `run`, and where.
 
     Attributes:
         preset: In place of the scenes' own.
         overrides: Texts `dotted.key=value`.
         until: Last stage.
         allow_unhealthy: Go on where a stage's own check refuses its result.
+        engine: local or ray.
+        address: Of a Ray cluster; None starts one on this machine.
+        jobs: Scenes at once; None: as there is room.
+        device: auto, cpu or cuda.
+        out: Folder of the summary.
     """
 
     preset: str | None = None
     overrides: tuple[str, ...] = ()
     until: str | None = None
     allow_unhealthy: bool = False
+    engine: str = "local"
+    address: str | None = None
+    jobs: int | None = None
+    device: str = "auto"
+    out: Path = Path("batch")
 
     def arguments(self) -> list[str]:
-        """All but `until`, as `devrf-pipeline run` takes them."""
+        """What `devrf-pipeline run` is told of the scene's configuration."""
         preset = [] if self.preset is None else ["--preset", self.preset]
         overrides = [word for text in self.overrides for word in ("--set", text)]
         return [*preset, *overrides, *(["--allow-unhealthy"] if self.allow_unhealthy else [])]
@@ -56,16 +66,11 @@ class BatchScene:
     standing: list[Standing] = field(default_factory=list)
 
     @property
-    def scene_dir(self) -> Path:
-        """Folder of scene.yaml."""
-        return self.path.parent
-
-    @property
     def name(self) -> str:
         """As its scene.yaml says, else as the file or its folder is called."""
         if self.run is not None:
             return self.run.config.name
-        return self.scene_dir.name if self.path.stem == "scene" else self.path.stem
+        return self.path.parent.name if self.path.stem == "scene" else self.path.stem
 
     @property
     def run_dir(self) -> Path | None:

@@ -3,7 +3,6 @@
 The rows are those of the stages where a stage has one; the stages look at all pictures and have the last word.
 """
 
-import json
 import time
 from pathlib import Path
 
@@ -13,7 +12,8 @@ from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
 from devrf.capture.ingest.survey import Look, find_material, look_at
 from devrf.capture.measure import Measure, Verdict, noted
 from devrf.capture.session import CaptureSession
-from devrf.capture.system.amounts import GB, size_text
+from devrf.capture.system.amounts import GB, counted, size_text
+from devrf.capture.system.durable import write_json
 from devrf.capture.system.errors import DevrfError
 from devrf.capture.system.progress import Progress, part
 from devrf.capture.video.audio import Sound, read_sound
@@ -64,11 +64,11 @@ def check(job: Run, json_file: Path | None) -> bool:
         if talk.loudness == "quiet":  # what is wrong, for those who asked for errors alone
             for row in (row for row in rows if row.verdict == "fail"):
                 talk.error(f"{WORDS[row.verdict]}  {title}: {describe(row)}", "check-failed")
-        talk.say(f"{WORDS[verdict]:>6}  {title}, {_number(len(rows), 'check')}", style=STYLE[verdict])
+        talk.say(f"{WORDS[verdict]:>6}  {title}, {counted(len(rows), 'check')}", style=STYLE[verdict])
         for row in rows:
             shown = row.verdict != "ok" or title in SHOWN
             (talk.say if shown else talk.detail)(f"    {WORDS[row.verdict]:>6}  {describe(row)}")
-    warnings = f", with {_number(verdicts.count('warn'), 'warning')}" if "warn" in verdicts else ""
+    warnings = f", with {counted(verdicts.count('warn'), 'warning')}" if "warn" in verdicts else ""
     word = f"GO{warnings}" if go else NO_GO
     if not go and talk.loudness == "quiet":
         talk.error(NO_GO, "check-no-go")
@@ -83,7 +83,7 @@ def check(job: Run, json_file: Path | None) -> bool:
         ]
         content = {"go": go, "seconds": round(seconds, 1), "rows": found}
         json_file.parent.mkdir(parents=True, exist_ok=True)
-        json_file.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+        write_json(json_file, content)
     return go
 
 
@@ -122,7 +122,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
 
 def _scale(config: SceneConfig) -> list[Measure]:
     """A warning where nothing that was told gives metres, while the crew still has a ruler at the scene."""
-    board, rig = config.capture and config.capture.board, config.calibration.rig
+    board, rig = config.board, config.calibration.rig
     if (board and board.metric) or rig.known_distance_m is not None or rig.given is not None:
         return []
     return list(scale_measures([], ARBITRARY, unmeasured_board=board is not None))
@@ -142,10 +142,6 @@ def _resources(config: SceneConfig, run_dir: Path) -> list[Measure]:
     facts = {"bound": room.bound, "mend": f"{room.remedy[0].upper()}{room.remedy[1:]}"}
     memory = f"a run may use {size_text(allowed_bytes(config))} of main memory"
     return [Measure("disk-room", room.count / GB, facts=facts), *noted([memory], "memory")]
-
-
-def _number(count: int, what: str) -> str:
-    return f"{count} {what}" + ("s" if count != 1 else "")
 
 
 def _sound(path: Path) -> Sound | None:

@@ -32,7 +32,7 @@ def clock_measures(
         brightness = {n: Brightness(c.brightness[:, 0], c.brightness[:, 1:]) for n, c in courses.items()}
         motion = {n: c.motion for n, c in courses.items()}
         # Of a long clip the end is not read.
-        rest = "start" if config.capture and config.capture.rest == "start" else "none"
+        rest = "start" if config.rest == "start" else "none"
         extras = Extras(brightness, sync.recorded(moving), settings.av_lag_s, settings.readout_s, rest)
         return synchronise(spans, sounds, motion, settings.method, table, extras=extras)
 

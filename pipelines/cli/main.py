@@ -23,12 +23,14 @@ from devrf.pipelines.terminal.console import Talk
 from devrf.pipelines.terminal.disk_errors import disk_told, refused_by_system
 from devrf.pipelines.terminal.exit_codes import BAD_INPUT, DONE, FAILED, STOPPED, UNHEALTHY
 from devrf.pipelines.terminal.shared_options import (
+    AllowUnhealthyOption,
     Command,
     DeviceOption,
     PresetOption,
     QuietOption,
     SceneArgument,
     SetOption,
+    UntilOption,
     VerboseOption,
     errors_told,
     talk_of,
@@ -92,16 +94,14 @@ def run(
     scene: SceneArgument,
     preset: PresetOption = None,
     first: Annotated[str | None, typer.Option("--from", help=f"Start here: {STAGE_HELP}")] = None,
-    until: Annotated[str | None, typer.Option(help="Stop after this stage")] = None,
+    until: UntilOption = None,
     force: Annotated[
         list[str] | None, typer.Option(help="Run this stage even if nothing changed; all for every stage")
     ] = None,
     overrides: SetOption = None,
     device: DeviceOption = "auto",
     dry: Annotated[bool, typer.Option("--dry-run", help="Say what would run, and why")] = False,
-    allow_unhealthy: Annotated[
-        bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
-    ] = False,
+    allow_unhealthy: AllowUnhealthyOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -121,7 +121,7 @@ def run(
 @app.command(cls=Command)
 def demo(
     folder: Annotated[Path, typer.Argument(help="Folder for the example and its run")] = Path("devrf-demo"),
-    until: Annotated[str | None, typer.Option(help="Stop after this stage")] = None,
+    until: UntilOption = None,
     device: DeviceOption = "auto",
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -156,9 +156,7 @@ def batch(
     until: Annotated[str | None, typer.Option(help="Stop every scene after this stage")] = None,
     overrides: SetOption = None,
     device: DeviceOption = "auto",
-    allow_unhealthy: Annotated[
-        bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
-    ] = False,
+    allow_unhealthy: AllowUnhealthyOption = False,
     out: Annotated[Path, typer.Option(help="Folder of the summary, batch.json")] = Path("batch"),
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -167,10 +165,11 @@ def batch(
     talk = talk_of(quiet, verbose)
     from devrf.pipelines.batch import batch_command as command
 
-    options = command.Options(preset, tuple(overrides or ()), until, allow_unhealthy)
+    options = command.Options(
+        preset, tuple(overrides or ()), until, allow_unhealthy, engine, address, jobs, device, out
+    )
     with errors_told(talk):
-        machines = command.Machines(engine, address, jobs, device)
-        code = command.batch(talk, scenes, options, machines, out)
+        code = command.batch(talk, scenes, options)
     raise typer.Exit(code)
 
 

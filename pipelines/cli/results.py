@@ -61,9 +61,7 @@ def report(
     done = {stage.name for stage in STAGES if (job.run_dir / stage.name).is_dir()}
     with errors_told(talk):
         stale = stale_stages(job, "render")
-    if not stale and {stage.name for stage in STAGES if stage.applies(job.config) is None} <= done | {
-        "report"
-    }:
+    if not stale and {stage.name for stage in job.applying} <= done | {"report"}:
         run_command.only(job, "report", scene)
     from devrf.pipelines.stages.report import report_so_far
 
@@ -118,9 +116,10 @@ def view(
     talk = talk_of(quiet)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
     from devrf.pipelines.viewer import command as viewer_command
+    from devrf.pipelines.viewer.own_address import Address
 
     with errors_told(talk):
-        viewer_command.view(job, device, host, port, allow_host or ())
+        viewer_command.view(job, device, Address(host, port, allow_host or ()))
 
 
 def render(
@@ -207,10 +206,10 @@ def export(
     from devrf.pipelines.export import export_command
 
     with errors_told(talk):
-        options = export_command.Options(times=times, level=level, splats=splats, device=device)
+        options = export_command.Options(dataset_format, out, times, level, splats, device)
         with _stopped_told(talk, "export"):
             export_command.export(
-                talk, job.run_dir, dataset_format, out, options, job.config.name,
+                talk, job.run_dir, options, job.config.name,
                 lambda until: said_of_stale(stale_stages(job, until)),
             )  # fmt: skip
 

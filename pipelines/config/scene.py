@@ -26,6 +26,7 @@ from pydantic import (
 from devrf.capture.rest import Rest
 from devrf.flow.methods import mistake
 from devrf.pipelines.config.gone import GONE
+from devrf.pipelines.config.words import shown
 from devrf.reconstruct.options import PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
@@ -55,8 +56,7 @@ def _path(text: str) -> str:
     except RuntimeError:
         reason = "no such user"
     if reason is not None:
-        shown = repr(text)
-        raise ValueError(f"{shown if len(shown) <= 80 else shown[:77] + '...'}: {reason}; expected a path")
+        raise ValueError(f"{shown(text)}: {reason}; expected a path")
     return text
 
 
@@ -400,6 +400,16 @@ class SceneConfig(_Section):
         if self.capture.static is None:
             return "cameras"
         return "dynamic" if self.capture.all_cameras else "sweep"
+
+    @property
+    def board(self) -> BoardConfig | None:
+        """The calibration board; None where none was filmed."""
+        return None if self.capture is None else self.capture.board
+
+    @property
+    def rest(self) -> Rest:
+        """When the moving clips show the scene as in the sweep; none of a data set."""
+        return "none" if self.capture is None else self.capture.rest
 
     @staticmethod
     def path(scene_dir: Path, value: str) -> Path:

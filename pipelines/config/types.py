@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.scene import SceneConfig
-from devrf.pipelines.config.words import Say, suggestion
+from devrf.pipelines.config.words import Say, shown, suggestion
 
 REPAIRS = 20  # rounds of replacing wrong values; each round removes at least one
 
@@ -70,17 +70,13 @@ def _message(item: Any, location: tuple, data: dict) -> tuple[str, str]:
         return "", str(context["error"])
     if item["loc"][-1] == "[key]":
         return "", f"the key {item['input']!r} is no text; names are text, write it in quotes"
-    value = _shown(_at(data, location))
+    value = _at(data, location)
+    value = shown(list(value) if isinstance(value, tuple) else value)
     if kind == "model_type":
         return f"{value}; ", f"expected a section with the keys {', '.join(_keys(location))}"
     choices = context["expected"].split("'") if kind == "literal_error" else ()
     text = item["msg"].replace("Input should be", "expected").replace("dictionary", "section")
     return f"{value}; ", text.replace("tuple", "list") + suggestion(str(item["input"]), choices)
-
-
-def _shown(value: Any) -> str:
-    text = repr(list(value) if isinstance(value, tuple) else value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _keys(location: tuple) -> list[str]:

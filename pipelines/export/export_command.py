@@ -4,16 +4,13 @@ import importlib.util
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from devrf.capture.formats.parts.export import check_target
 from devrf.capture.system.errors import InputError
-from devrf.pipelines.config.gone import GONE
-from devrf.pipelines.config.words import suggestion
+from devrf.pipelines.config.words import unknown_word
 from devrf.pipelines.export.formats import FORMATS
 from devrf.pipelines.export.request import Format, Options, Request
-from devrf.pipelines.run_folder.outcomes import read_health
-from devrf.pipelines.run_folder.own_folder import check_run_folder
-from devrf.pipelines.stages import STAGES
-from devrf.pipelines.stamps.stamp import STAMP
+from devrf.pipelines.run_folder.outcomes import check_made, refusals
+from devrf.pipelines.run_folder.output_folder import output_folder
+from devrf.pipelines.stages import up_to
 from devrf.pipelines.terminal.console import Talk
 
 INSTALL = "python -m pip install 'devrf[export]'; in a clone: python -m pip install -e '.[export]'"
@@ -22,9 +19,7 @@ INSTALL = "python -m pip install 'devrf[export]'; in a clone: python -m pip inst
 def export(
     talk: Talk,
     run_dir: Path,
-    name: str,
-    out: Path | None,
-    options: Options | None = None,
+    options: Options,
     title: str = "",
     stale: Callable[[str], Sequence[str]] = lambda stage: (),
 ) -> Path:
@@ -33,9 +28,7 @@ def export(
     Args:
         talk: Where to speak.
         run_dir: The run folder.
-        name: One of `FORMATS`.
-        out: Folder to write; None: `export/<format>` in the run folder.
-        options: What some formats take.
+        options: What is asked for.
         title: Name of the scene.
         stale: What is to be said of stages up to one that have changed since they were made.
     Raises:
@@ -43,20 +36,17 @@ def export(
             to export yet, or a link in the run folder.
         DevrfError: The format cannot hold this scene, a picture is missing, or nothing can be written.
     """
+    name = options.format
     if name not in FORMATS:
-        expected = f"expected {', '.join(FORMATS)}{suggestion(name, FORMATS)}"
-        text = f"--format {name}: {GONE.get(f'--format {name}', expected)}"
-        raise InputError("option-unknown-value", text)
-    chosen, options = FORMATS[name], options or Options()
-    if out is None:
-        check_run_folder(run_dir, ())
-    folder = run_dir / "export" / name if out is None else out.expanduser().resolve()
-    _check(run_dir, name, chosen, options)
-    check_target(folder, name)
+        raise unknown_word("--format", name, tuple(FORMATS))
+    chosen = FORMATS[name]
+    folder = output_folder(run_dir, options.out, f"export/{name}", name)
+    _check(chosen, options)
+    check_made(run_dir, ("scene", "canonical") if chosen.stage == "canonical" else (chosen.stage,))
     # the model moves where that stage has run, and so do clocks
     last = "deformation" if chosen.stage in ("canonical", "scene") else chosen.stage
-    notes = [*_unhealthy(run_dir, last), *stale(last)]
-    request = Request(talk, run_dir, name, folder, options, title or run_dir.name, notes)
+    notes = [*refusals(run_dir, up_to(last)), *stale(last)]
+    request = Request(talk, run_dir, folder, options, title or run_dir.name, notes)
     chosen.write(request)
     for text in request.notes:
         talk.say(f"  note: {text}")
@@ -64,33 +54,19 @@ def export(
     return folder
 
 
-def _check(run_dir: Path, name: str, chosen: Format, options: Options) -> None:
-    """Raises InputError where the format takes no such option, lacks a library, or the run is not that far."""
+def _check(chosen: Format, options: Options) -> None:
+    """Raises InputError where the format takes no such option, or lacks a library."""
     for option in options.given():
         if option not in chosen.options:
             takers = [n for n, other in FORMATS.items() if option in other.options]
-            text = f"--{option}: not for --format {name}; leave it out (taken by {', '.join(takers)})"
+            text = (
+                f"--{option}: not for --format {options.format}; leave it out (taken by {', '.join(takers)})"
+            )
             raise InputError("option-misplaced", text)
     missing = [module for module in chosen.modules if importlib.util.find_spec(module) is None]
     if missing:
         raise InputError(
             "package-missing",
-            f"--format {name}: needs {', '.join(missing)}, which is not installed; install the extra `export` "
-            f"({INSTALL})",
+            f"--format {options.format}: needs {', '.join(missing)}, which is not installed; install the extra "
+            f"`export` ({INSTALL})",
         )
-    for stage in ("scene", "canonical") if chosen.stage == "canonical" else (chosen.stage,):
-        if not (run_dir / stage / STAMP).is_file():
-            what = "the model" if stage == "canonical" else f"the {stage}"
-            text = f"{run_dir}: {what} has not been made yet; run with --until {chosen.stage} first"
-            raise InputError("stage-not-made", text)
-
-
-def _unhealthy(run_dir: Path, last: str) -> list[str]:
-    """What the run's own checks refused, up to the last stage that is exported, in words."""
-    names = [each.name for each in STAGES]
-    rows = [(n, row) for n in names[: names.index(last) + 1] for row in read_health(run_dir / n)]
-    return [
-        f"the run is not healthy: {name}: {row.title}; {row.remedy}"
-        for name, row in rows
-        if row.verdict == "fail"
-    ]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.capture.formats.parts.export import new_folder
@@ -10,26 +10,32 @@ from devrf.capture.system.errors import CaptureError
 from devrf.pipelines.terminal.console import Talk
 from devrf.pipelines.terminal.disk_errors import disk_told
 
+OF_SOME = ("times", "level", "splats", "device")  # options that only some formats take
+
 
 @dataclass(frozen=True)
 class Options:
-    """Options of `export` that only some formats take; None where they were not given.
+    """What `export` is asked for; those of `OF_SOME` are None where they were not given.
 
     Attributes:
+        format: One of `FORMATS`.
+        out: Folder to write; None: `export/<format>` in the run folder.
         times: Which times, as in `times.chosen`.
         level: Opacity of the surface of the mesh.
         splats: How many Gaussians.
         device: auto, cpu or cuda.
     """
 
+    format: str
+    out: Path | None = None
     times: str | None = None
     level: float | None = None
     splats: int | None = None
     device: str | None = None
 
     def given(self) -> list[str]:
-        """Names of those that were given."""
-        return [name for name, value in vars(self).items() if value is not None]
+        """Names of those that only some formats take and that were given."""
+        return [name for name in OF_SOME if getattr(self, name) is not None]
 
 
 @dataclass
@@ -39,7 +45,6 @@ class Request:
     Attributes:
         talk: Where to speak.
         run_dir: The run folder.
-        name: Of the format.
         folder: Where the export is to be.
         options: What was asked for.
         title: Name of the scene.
@@ -48,11 +53,15 @@ class Request:
 
     talk: Talk
     run_dir: Path
-    name: str
     folder: Path
-    options: Options = field(default_factory=Options)
-    title: str = ""
-    notes: list[str] = field(default_factory=list)
+    options: Options
+    title: str
+    notes: list[str]
+
+    @property
+    def name(self) -> str:
+        """Of the format."""
+        return self.options.format
 
     @contextmanager
     def new_folder(self) -> Iterator[Path]:

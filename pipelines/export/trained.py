@@ -1,6 +1,5 @@
 """The trained model that is exported as geometry: its world, its times, and what is said of both beside the files."""
 
-import json
 import textwrap
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +11,7 @@ from jaxtyping import Float
 from devrf.calibration.extent.bounds import upright
 from devrf.capture.formats import read_scene
 from devrf.capture.formats.parts.export import README
+from devrf.capture.system.durable import write_json
 from devrf.capture.system.errors import InputError
 from devrf.pipelines.export import times
 from devrf.pipelines.export.request import Request
@@ -152,7 +152,7 @@ class Trained:
             "notes": self.request.notes,
             **facts,
         }
-        (folder / FACTS).write_text(json.dumps(value, indent=1) + "\n")
+        write_json(folder / FACTS, value)
 
 
 def entry_of(path: Path, moment: Moment, xyz: Float[np.ndarray, "n 3"], **facts: int) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from devrf.capture.formats.parts.export import check_target, new_folder
+from devrf.capture.formats.parts.export import new_folder
 from devrf.capture.formats.parts.opengl import opengl_pose
 from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.scene import Scene
@@ -18,12 +18,12 @@ from devrf.pipelines.budget.at_once import FILM, RENDERED, WITH_DEPTH
 from devrf.pipelines.budget.memory import too_much
 from devrf.pipelines.film.film_plan import Asked, Plan, planned
 from devrf.pipelines.inputs.device import resolve_device
-from devrf.pipelines.run_folder.outcomes import read_health
-from devrf.pipelines.run_folder.own_folder import check_run_folder
+from devrf.pipelines.run_folder.outcomes import check_made, refusals
+from devrf.pipelines.run_folder.output_folder import output_folder
 from devrf.pipelines.runner.failure import is_no_memory
 from devrf.pipelines.runner.run_state import Run
 from devrf.pipelines.runner.stale import said_of_stale, stale_stages
-from devrf.pipelines.stages import STAGES
+from devrf.pipelines.stages import stage_names
 from devrf.pipelines.stages.render import SIZES
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.pipelines.terminal.console import duration
@@ -50,11 +50,8 @@ def film(job: Run, asked: Asked, device: str) -> Path:
     """
     asked.check()
     talk = job.talk
-    if asked.out is None:
-        check_run_folder(job.run_dir, ())
-    folder = job.run_dir / "films" / asked.name if asked.out is None else asked.out.expanduser().resolve()
-    check_target(folder, KIND)
-    _check_made(job)
+    folder = output_folder(job.run_dir, asked.out, f"films/{asked.name}", KIND)
+    check_made(job.run_dir, READS[:2])
     world = read_scene(job.run_dir / "scene")
     moves = (job.run_dir / "deformation" / STAMP).is_file()
     plan = planned(asked, world, moves, SIZES[job.config.preset][2])
@@ -100,9 +97,9 @@ def _about(asked: Asked, plan: Plan, world: Scene, depth: "DepthScale") -> dict[
     shown = {"unit": depth.unit, "metres": world.metric, "near": depth.near, "far": depth.far}
     entries = []
     for camera, at in zip(plan.cameras, plan.times, strict=True):
-        fov = float(np.degrees(2 * np.arctan(0.5 * camera.height / camera.K[1, 1])))
         pose = np.array(opengl_pose(camera.moved(world_from_box))).reshape(-1).tolist()
-        entry = {"camera_to_world": pose, "fov": fov, "aspect": camera.width / camera.height}
+        fov, aspect = float(np.degrees(camera.fov_y)), camera.width / camera.height
+        entry = {"camera_to_world": pose, "fov": fov, "aspect": aspect}
         entries.append(entry if at is None else entry | {"render_time": at})
     count, length_s = len(entries), world.t1_s - world.t0_s
     return {
@@ -134,26 +131,13 @@ def _showing(model: "DynamicModel", without: tuple[int, ...]) -> "DynamicModel":
     return model.showing(True, [part for part in range(1, count + 1) if part not in without])
 
 
-def _check_made(job: Run) -> None:
-    missing = [name for name in READS[:2] if not (job.run_dir / name / STAMP).is_file()]
-    if missing:
-        raise InputError(
-            "stage-not-made",
-            f"{job.run_dir}: {missing[0]} is not made yet, so there is nothing to film; run the scene first "
-            "(devrf-pipeline run)",
-        )
-
-
 def _state(job: Run) -> list[str]:
     """What is to be known of the run: unfinished, stale or unhealthy."""
-    lines = []
-    for stage in STAGES:
-        failed = [row.title for row in read_health(job.run_dir / stage.name) if row.verdict == "fail"]
-        if failed:
-            lines.append(f"{stage.name} is unhealthy: {'; '.join(failed)}")
-        if stage.name in READS and not (job.run_dir / stage.name).is_dir():
-            lines.append(f"{stage.name} is not made yet: the film shows the scene at rest")
-    return [*lines, *said_of_stale(stale_stages(job, READS[-1]))]
+    last = READS[-1]
+    lines = refusals(job.run_dir, stage_names())
+    if not (job.run_dir / last).is_dir():
+        lines.append(f"{last} is not made yet: the film shows the scene at rest")
+    return [*lines, *said_of_stale(stale_stages(job, last))]
 
 
 def _check_memory(job: Run, plan: Plan, layers: Sequence[str]) -> None:

@@ -1,7 +1,6 @@
 """From what was asked to a film: which options can be, and a camera and a time for every picture."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -11,8 +10,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.formats.geometry.camera_path import CameraPath, read_camera_path
 from devrf.capture.scene import Scene
 from devrf.capture.system.errors import InputError
-from devrf.pipelines.config.gone import GONE
-from devrf.pipelines.config.words import suggestion
+from devrf.pipelines.config.words import unknown_word
 from devrf.reconstruct.film.times import parse_time
 from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
 from devrf.reconstruct.geometry.paths import PATHS, through
@@ -68,7 +66,7 @@ class Asked:
                 text = f"--{key} {value:g}: expected {least} and at most {high:g}"
                 raise InputError("option-out-of-range", text)
         if (self.format or "mp4") not in FORMATS:
-            raise _unknown("--format", str(self.format), FORMATS)
+            raise unknown_word("--format", str(self.format), FORMATS)
         self.size_px()
         self.layer_names()
         self.left_out()
@@ -106,7 +104,7 @@ class Asked:
         """
         asked = {word.strip() for word in (self.layers or "colour").split(",")}
         for layer in sorted(asked - set(LAYERS)):
-            raise _unknown("--layers", layer, LAYERS)
+            raise unknown_word("--layers", layer, LAYERS)
         return tuple(layer for layer in LAYERS if layer in asked)
 
     def left_out(self) -> tuple[int, ...]:
@@ -161,7 +159,7 @@ def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Plan:
     elif spoken.startswith("still:"):
         path = [_still(scene, spoken.partition(":")[2], asked)] * len(times)
     else:
-        raise _unknown("--path", spoken.partition(":")[0], (*PATHS, "still:CAMERA", "FILE.json"))
+        raise unknown_word("--path", spoken.partition(":")[0], (*PATHS, "still:CAMERA", "FILE.json"))
     return Plan(tuple(path), times, fps)
 
 
@@ -242,9 +240,3 @@ def _still(scene: Scene, name: str, asked: Asked) -> Camera:
         )
     K = np.diag([size[0] / camera.width, size[1] / camera.height, 1.0]) @ camera.K
     return replace(camera, width=size[0], height=size[1], K=K)
-
-
-def _unknown(option: str, word: str, choices: Sequence[str]) -> InputError:
-    """A word that an option does not take, or no more."""
-    expected = f"expected {', '.join(choices)}{suggestion(word, choices)}"
-    return InputError("option-unknown-value", f"{option} {word}: {GONE.get(f'{option} {word}', expected)}")

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from devrf.capture.formats.datasets import guess_format
-from devrf.capture.ingest.stillness import AT_REST, moving_share, smooth_grey
-from devrf.capture.ingest.survey import ENDS, Look, Material, find_material, look_at, pictures_at
+from devrf.capture.ingest.survey import Look, Material, find_material, look_at
+from devrf.capture.system.amounts import counted
 from devrf.capture.system.durable import whole
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.capture.system.progress import Progress
@@ -16,7 +16,7 @@ from devrf.capture.video.timestamps import read_timestamps
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.init.calibrations import take_calibration
 from devrf.pipelines.init.material import Roles
-from devrf.pipelines.init.names import BY_NAME, called, photos, roles_called
+from devrf.pipelines.init.names import BY_NAME, called, roles_called
 from devrf.pipelines.init.related_files import not_read, sort_clips
 from devrf.pipelines.init.roles import FEWEST_PHOTOS, guess_roles, see
 from devrf.pipelines.init.scene_yaml import dataset_yaml, scene_yaml
@@ -97,27 +97,9 @@ def survey(folder: Path, material: Material, progress: Progress) -> Roles:
     why = "sound by itself; clocks are taken from the clips' own sound"
     roles.left |= {file.relative_to(folder).as_posix(): why for file in material.sounds}
     take_calibration(folder, material.others, roles)
-    progress(0.95, "rest")
-    _doubt_rest(roles)
     _find_times(folder, material, roles)
     _find_missing(roles)
     return roles
-
-
-def _doubt_rest(roles: Roles) -> None:
-    """Whether no fixed camera's clip begins or ends with nothing moving."""
-    if roles.sweep is None or not roles.cameras:
-        return
-    shares = [
-        moving_share([smooth_grey(picture) for picture in pictures_at(s.look, end)])
-        for s in roles.cameras.values()
-        for end in ENDS
-    ]
-    if not any(share is not None and share <= AT_REST for share in shares):
-        roles.doubts.append(
-            "something moves at the start and at the end of every clip: they may never show the scene as in the "
-            "sweep. Let the cameras see it for a second before the action"
-        )
 
 
 def _find_times(folder: Path, material: Material, roles: Roles) -> None:
@@ -173,7 +155,7 @@ def _words(look: Look) -> str:
         rate = f", {(look.count - 1) / look.duration_s:.4g} fps" if look.duration_s else ""
         sound = ", with sound" if look.has_audio else ""
         return "; ".join([f"{size}{rate}, {duration(look.duration_s)}{sound}", *look.notes])
-    return "; ".join([f"{photos(look.count)}, {size} {look.device}".strip(), *look.notes])
+    return "; ".join([f"{counted(look.count, 'photo')}, {size} {look.device}".strip(), *look.notes])
 
 
 def _write(path: Path, text: str) -> None:

@@ -54,10 +54,5 @@ def camera_name(name: str, taken: set[str]) -> str:
     return next(t for t in tries if t not in taken and CAMERA_NAME.fullmatch(t))
 
 
-def photos(count: int) -> str:
-    """1 photo, 2 photos."""
-    return f"{count} photo" + ("s" if count != 1 else "")
-
-
 def _without_suffix(name: str) -> str:
     return re.sub(r"\.\w+$", "", name)

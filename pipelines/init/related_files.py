@@ -7,6 +7,7 @@ from pathlib import Path
 from devrf.capture.ingest.recordings import chapters, is_of_photo, join_command, small_copy_of
 from devrf.capture.ingest.survey import PREVIEWS, UNREAD_CLIPS, Material
 from devrf.capture.photos.photo_folders import CONVERT, UNREAD_KINDS
+from devrf.capture.system.amounts import counted
 from devrf.capture.system.errors import DevrfError
 from devrf.capture.video.reader import probe_video
 
@@ -83,8 +84,7 @@ def _by_folder(folder: Path, files: Iterable[Path], why: str, what: str) -> dict
     lines = {}
     for inside in groups.values():
         more = f" and {len(inside) - 1} more" if len(inside) > 1 else ""
-        count = f"{len(inside)} {what}" + ("s" if len(inside) > 1 else "")
-        lines[f"{inside[0].relative_to(folder).as_posix()}{more}"] = f"{count}: {why}"
+        lines[f"{inside[0].relative_to(folder).as_posix()}{more}"] = f"{counted(len(inside), what)}: {why}"
     return lines
 
 

@@ -11,10 +11,11 @@ from devrf.calibration.boards.guess import BoardGuess, Grey, board_pictures, gue
 from devrf.calibration.preview.stability import steadiness
 from devrf.capture.ingest.survey import Look
 from devrf.capture.measure import Measure
+from devrf.capture.system.amounts import counted
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.init.board_roles import BOARD_SHARE, give_boards, is_board_clip
 from devrf.pipelines.init.material import Roles, Seen
-from devrf.pipelines.init.names import camera_name, photos
+from devrf.pipelines.init.names import camera_name
 
 FEWEST_PHOTOS = 8  # of a sweep that nobody calls one
 PLACES_A_SECOND = 2.0  # of a clip of a walk; a photo is one
@@ -79,7 +80,7 @@ def _sweep(moving: list[Seen], roles: Roles) -> None:
         moving,
         key=lambda s: (s.called != "sweep", s.called in ("camera", "test"), -_places(s), -s.look.count),
     ):
-        count, is_camera = photos(s.look.count), s.called in ("camera", "test")
+        count, is_camera = counted(s.look.count, "photo"), s.called in ("camera", "test")
         if not s.look.is_clip and s.look.count < FEWEST_PHOTOS and s.called != "sweep":
             roles.left[s.name] = f"{count}: too few for a sweep"
         elif roles.sweep is None:
@@ -130,7 +131,7 @@ def _fault(s: Seen) -> str | None:
         return "a single picture; expected a clip"
     few = judge([Measure("sweep-few-pictures", s.look.count)])[0].verdict == "fail"
     if not s.look.is_clip and s.called == "sweep" and few:
-        return f"called a sweep, but has {photos(s.look.count)}: photograph the scene at rest from all around"
+        return f"called a sweep, but has {counted(s.look.count, 'photo')}: photograph the scene at rest from all around"
     return None
 
 

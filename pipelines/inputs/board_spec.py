@@ -7,7 +7,7 @@ from devrf.pipelines.config.scene import SceneConfig
 
 def board_spec(config: SceneConfig) -> BoardSpec | None:
     """What `capture.board` describes; None without a board."""
-    board = None if config.capture is None else config.capture.board
+    board = config.board
     if board is None:
         return None
     side = (board.marker_m or 0.0) + (board.separation_m or 0.0)  # of a grid; another board has its square's
@@ -24,5 +24,4 @@ def board_spec(config: SceneConfig) -> BoardSpec | None:
 
 def lens_choice(config: SceneConfig) -> LensChoice:
     """Which lens model board calibrations take."""
-    board = None if config.capture is None else config.capture.board
-    return "auto" if board is None else board.lens
+    return "auto" if config.board is None else config.board.lens

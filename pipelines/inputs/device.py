@@ -2,6 +2,9 @@
 
 from devrf.capture.system.amounts import GB
 from devrf.capture.system.errors import InputError
+from devrf.pipelines.config.words import unknown_word
+
+DEVICES = ("auto", "cpu", "cuda")
 
 
 def resolve_device(wish: str, gpu_memory_gb: float | None = None) -> str:
@@ -35,5 +38,5 @@ def check_device(wish: str) -> None:
     Raises:
         InputError: It is not auto, cpu or cuda.
     """
-    if wish not in ("auto", "cpu", "cuda"):
-        raise InputError("option-unknown-value", f"--device {wish}: expected auto, cpu or cuda")
+    if wish not in DEVICES:
+        raise unknown_word("--device", wish, DEVICES)

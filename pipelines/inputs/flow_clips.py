@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import PosedFrame, Scene, by_camera
 from devrf.flow.estimator import FlowEstimator, create_estimator
 
 if TYPE_CHECKING:
@@ -13,10 +13,7 @@ if TYPE_CHECKING:
 
 def training_clips(scene: Scene) -> dict[str, list[PosedFrame]]:
     """The frames of each training camera, in order of time; test cameras need no flow."""
-    clips: dict[str, list[PosedFrame]] = {}
-    for frame in scene.dynamic:
-        if frame.split == "train":
-            clips.setdefault(frame.camera_name, []).append(frame)
+    clips = by_camera(frame for frame in scene.dynamic if frame.split == "train")
     return {camera: sorted(frames, key=time_of) for camera, frames in clips.items()}
 
 

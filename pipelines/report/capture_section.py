@@ -1,13 +1,12 @@
 """What cameras recorded: a few of their pictures, with their mattes, and as they are used after colour correction."""
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from devrf.capture.frames import SWEEP
-from devrf.capture.scene import PosedFrame, read_matte
+from devrf.capture.scene import PosedFrame, by_camera, read_matte
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.spread import spread
 from devrf.pipelines.report.data_uris import file_uri, picture_uri, read_picture, shrink
@@ -62,10 +61,7 @@ def _reels(
     frames: Iterable[PosedFrame], most: int, shown: Callable[[PosedFrame], tuple[str, str]]
 ) -> list[Reel]:
     """Of each camera some of its frames, evenly spread."""
-    by_camera: dict[str, list[PosedFrame]] = defaultdict(list)
-    for frame in frames:
-        by_camera[frame.camera_name].append(frame)
-    some = list(by_camera.items())[:MAX_CAMERAS]
+    some = list(by_camera(frames).items())[:MAX_CAMERAS]
     return [(name, [shown(frame) for frame in spread(of_camera, most)]) for name, of_camera in some]
 
 

@@ -16,6 +16,7 @@ LOSSES = {
     "variation": "total variation",
 }
 MAX_CURVES = 9  # of pairs of clocks
+CORRELATION = ("delay, s", "correlation")
 
 
 def training(run: RunFolder) -> dict[str, Any]:
@@ -27,21 +28,17 @@ def clocks(run: RunFolder) -> dict[str, Any]:
     """How well pairs of clips match against the delay between them, and how well geometry does."""
     heard = sorted(_with_tests(run, "sync/curves.json", "curves"), key=lambda c: not c.get("accepted"))
     pairs = _with_tests(run, "scene/clock_check.json", "pairs")[:MAX_CURVES]
-    label = {"tracks": "epipolar error, px"}
     return {
         "correlation": _drawn(
-            _clock(c, "method", "accepted", "not used", 1.0, "delay, s", "correlation")
+            _clock(c, f"{c.get('method')}{'' if c.get('accepted') else ', not used'}", 1.0, CORRELATION)
             for c in heard[:MAX_CURVES]
         ),
         "geometry": _drawn(
             _clock(
-                c,
-                "by",
-                "sharp",
-                "not sharp",
+                {"delay_s": 0.0} | c,
+                f"{c.get('by')}{'' if c.get('sharp') else ', not sharp'}",
                 1e3,
-                "trial offset, ms",
-                label.get(str(c.get("by")), "correlation"),
+                ("trial offset, ms", "epipolar error, px" if c.get("by") == "tracks" else "correlation"),
             )
             for c in pairs
         ),
@@ -76,24 +73,15 @@ def _training(run: RunFolder, stage: str) -> list[Chart]:
     )
 
 
-def _clock(
-    curve: dict[str, Any], by: str, good: str, bad: str, scale: float, x_label: str, y_label: str
-) -> Chart | None:
-    """One pair of cameras; `good` says whether its peak is one, `scale` leads from seconds to the axis."""
+def _clock(curve: dict[str, Any], by: str, scale: float, labels: tuple[str, str]) -> Chart | None:
+    """One pair of cameras, compared by what `by` says; `scale` leads from seconds to the axis."""
     lags, values = curve.get("lags_s"), curve.get("values")
-    if (
-        not isinstance(lags, list)
-        or not isinstance(values, list)
-        or len(lags) < 2
-        or len(lags) != len(values)
-    ):
+    if not (isinstance(lags, list) and isinstance(values, list) and 2 <= len(lags) == len(values)):
         return None
-    title = f"{curve.get('first')} and {curve.get('second')}: {curve.get(by)}"
-    title += "" if curve.get(good) else f", {bad}"
-    delay = curve.get("delay_s", 0.0 if by == "by" else None)
+    title, delay = f"{curve.get('first')} and {curve.get('second')}: {by}", curve.get("delay_s")
     marks = [(scale * delay, f"{scale * delay:.4g}")] if is_number(delay) else []
     series = Series("", [scale * as_float(x) for x in lags], [as_float(y) for y in values])
-    return line_chart([series], x_label, y_label, marks=marks, title=title, small=True)
+    return line_chart([series], *labels, marks=marks, title=title, small=True)
 
 
 def _drawn(charts: Iterable[Chart | None]) -> list[Chart]:

@@ -1,11 +1,13 @@
 """What a run folder remembers of stages that ran: health rows, why one failed, and which one is forced to run."""
 
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from devrf.capture.system.durable import read_json, sync, write_json
+from devrf.capture.system.errors import InputError
 from devrf.pipelines.health.judge import HealthRow
-from devrf.pipelines.stamps.stamp import HEALTH, stamp_id
+from devrf.pipelines.stamps.stamp import HEALTH, STAMP, stamp_id
 
 
 def read_health(folder: Path) -> tuple[HealthRow, ...]:
@@ -15,6 +17,30 @@ def read_health(folder: Path) -> tuple[HealthRow, ...]:
         return tuple(HealthRow(**row) for row in rows)
     except (OSError, ValueError, KeyError, TypeError):
         return ()
+
+
+def refusals(run_dir: Path, stages: Iterable[str]) -> list[str]:
+    """What the own checks of these stages refused, in words."""
+    rows = ((stage, row) for stage in stages for row in read_health(run_dir / stage))
+    return [
+        f"{stage} is unhealthy: {row.title}; {row.remedy}" for stage, row in rows if row.verdict == "fail"
+    ]
+
+
+def check_made(run_dir: Path, stages: Sequence[str]) -> None:
+    """Refuse to take something out of a run that is not that far.
+
+    Args:
+        run_dir: The run folder.
+        stages: Names of the stages that are read, in their order.
+    Raises:
+        InputError: One of them is not made.
+    """
+    missing = [stage for stage in stages if not (run_dir / stage / STAMP).is_file()]
+    if missing:
+        what = "the model" if missing[0] == "canonical" else f"the {missing[0]}"
+        text = f"{run_dir}: {what} is not made yet; run the scene with --until {stages[-1]} first"
+        raise InputError("stage-not-made", text)
 
 
 def forced_path(run_dir: Path, stage: str) -> Path:

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import devrf
-from devrf.capture.system.amounts import GB
+from devrf.capture.system.amounts import GB, counted
 from devrf.capture.system.errors import DevrfError, OutOfTime
 from devrf.pipelines.budget.disk import watched
 from devrf.pipelines.budget.keep import OPTIONAL, Budget
@@ -20,7 +20,7 @@ from devrf.pipelines.runner.finish import finish
 from devrf.pipelines.runner.run_state import Run, check_reads, skip_line
 from devrf.pipelines.runner.standing import Standing
 from devrf.pipelines.runner.supervise import crash_log, tell
-from devrf.pipelines.stage import Stage, StageContext
+from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stamps.stamp import read_stamp
 from devrf.pipelines.terminal.console import duration
 from devrf.pipelines.terminal.exit_codes import DONE, FAILED, STOPPED, UNHEALTHY, code_of
@@ -104,12 +104,12 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             continue
         now = run.standing(stage)
         run.digests.save()
-        if now.state == "not applicable" or (now.state == "fresh" and not run.forced(stage.name)):
+        if not now.to_make:
             run.talk.event("stage_skipped", stage=stage.name, state=now.state, why=list(now.why))
             run.talk.say(skip_line(now), style="dim")
         else:
-            why = "; ".join(now.why) or "forced"
-            late = budget.late(stage.name, _to_come(run, stage))
+            to_come = [s.name for s in run.applying if s in run.stages[number - 1 :] and run.chosen(s.name)]
+            late = budget.late(stage.name, to_come)
             if late is not None and stage.name == OPTIONAL:
                 run.talk.say(f"{stage.name}: left for later: {late}", style="yellow")
                 left.append(stage.name)
@@ -117,8 +117,10 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
             if late is not None:
                 run.talk.error(late, "out-of-time")
                 return FAILED
-            run.talk.say(f"[{number}/{len(run.stages)}] {stage.name}: runs: {why}", style="bold")
-            run.talk.event("stage_started", stage=stage.name, why=list(now.why) or ["forced"])
+            run.talk.say(
+                f"[{number}/{len(run.stages)}] {stage.name}: runs: {'; '.join(now.why)}", style="bold"
+            )
+            run.talk.event("stage_started", stage=stage.name, why=list(now.why))
             tell(stage=stage.name)
             try:
                 code = _run_stage(run, workspace, now, budget)
@@ -144,23 +146,13 @@ def _run_stages(run: Run, workspace: Workspace) -> int:
         if code is not None:
             return code
     count = len(run.executed)
-    what = (
-        f"{count} stage{'s' if count != 1 else ''} executed"
-        if count
-        else "nothing changed, no stage executed"
-    )
+    what = f"{counted(count, 'stage')} executed" if count else "nothing changed, no stage executed"
     run.talk.say(f"{what} in {duration(time.monotonic() - start)}; output in {run.run_dir}")
     if left:
         what = f"out of time: {', '.join(left)} is left; run again, or raise budget.time_minutes"
         run.talk.error(what, "out-of-time")
         return FAILED
     return DONE
-
-
-def _to_come(run: Run, stage: Stage) -> list[str]:
-    """Names of a stage and of those that follow it in this run."""
-    rest = run.stages[list(run.stages).index(stage) :]
-    return [s.name for s in rest if s.applies(run.config) is None and run.chosen(s.name)]
 
 
 def _judge(run: Run, now: Standing) -> int | None:

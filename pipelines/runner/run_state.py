@@ -4,7 +4,7 @@ The one place that compares stamps, for `run`, `--dry-run`, `status` and batches
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,21 +64,19 @@ class Run:
     def standings(self) -> list[Standing]:
         """Where every stage stands, what must run before it considered.
 
-        A stage that the choice forces is stale; one that it leaves out does not make others stale.
+        A stage that the choice leaves out does not make others stale.
         """
         will_run: list[str] = []
         found = []
         for stage in self.stages:
             now = self.standing(stage, will_run)
-            if now.state == "fresh" and self.forced(stage.name):
-                now = replace(now, state="stale", why=("forced",))
             if now.to_make and self.chosen(stage.name):
                 will_run.append(stage.name)
             found.append(now)
         return found
 
     def standing(self, stage: Stage, will_run: Sequence[str] = (), *, whole: bool = False) -> Standing:
-        """Compare one stage with what would make it now.
+        """Compare one stage with what would make it now; one that the choice forces is stale until it is made.
 
         Args:
             stage: The stage.
@@ -104,6 +102,7 @@ class Run:
             why += [f"{name} runs" for name in unknown]
             again = is_to_be_forced(self.run_dir, stage.name, stamp)
             why += ["forced before, and not finished"] if again else []
+            why += ["forced"] if not (why or whole) and self.forced(stage.name) else []
             state = "stale" if why else "fresh"
         return Standing(
             stage,
@@ -115,9 +114,14 @@ class Run:
             None if unknown else made_from,
         )
 
+    @property
+    def applying(self) -> list[Stage]:
+        """The stages that apply to the scene."""
+        return [stage for stage in self.stages if stage.applies(self.config) is None]
+
     def reads_of(self, stage: Stage) -> list[str]:
         """The stages that one reads, without those that do not apply."""
-        applying = {other.name for other in self.stages if other.applies(self.config) is None}
+        applying = {other.name for other in self.applying}
         return [name for name in stage.reads if name in applying]
 
     def chosen(self, name: str) -> bool:
@@ -174,9 +178,8 @@ def check_reads(run: Run, remedy: str | None = None) -> None:
     Raises:
         InputError: With the remedy; None advises to start at the first stage that is missing.
     """
-    applying = [stage for stage in run.stages if stage.applies(run.config) is None]
-    unmade = [stage.name for stage in applying if not (run.run_dir / stage.name).is_dir()]
-    chosen = [stage for stage in applying if run.chosen(stage.name)]
+    unmade = [stage.name for stage in run.applying if not (run.run_dir / stage.name).is_dir()]
+    chosen = [stage for stage in run.applying if run.chosen(stage.name)]
     made = {stage.name for stage in chosen}
     for stage in chosen:
         missing = [name for name in stage.reads if name in unmade and name not in made]

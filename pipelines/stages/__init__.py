@@ -202,7 +202,7 @@ STAGES = (
         ),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),
-        rooms=(*TRAINED, "calibration/clocks"),
+        rooms=(*TRAINED, "calibration/clocks", "calibration/features.py"),
         plug_ins=_flow_method,
     ),
     Stage(
@@ -249,3 +249,9 @@ STAGES = (
 def stage_names() -> tuple[str, ...]:
     """Names of all stages, in the order they run."""
     return tuple(stage.name for stage in STAGES)
+
+
+def up_to(last: str) -> tuple[str, ...]:
+    """Names of the stages that run no later than one, itself included."""
+    names = stage_names()
+    return names[: names.index(last) + 1]

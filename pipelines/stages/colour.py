@@ -17,7 +17,7 @@ from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
 from devrf.capture.colour.correction import Look, as_matrix
 from devrf.capture.colour.light_course import LightCourse
-from devrf.capture.frames import SWEEP, FrameRecord, FrameSet
+from devrf.capture.frames import SWEEP, Filmed, FrameSet
 from devrf.capture.photos.picture_files import read_pixels
 from devrf.pipelines.health.colour_rows import colour_measures
 from devrf.pipelines.run_folder.clocks import read_clocks
@@ -115,10 +115,7 @@ class _Job:
     def _moments(self, names: Sequence[str]) -> Iterator[dict[str, View]]:
         """Pictures of these cameras at a few moments that all of them saw."""
         clocks = read_clocks(self.context.run_dir)
-        shown = {
-            n: [f for f in self.frames.moving[n].used if f.file is not None and f.time_s is not None]
-            for n in names
-        }
+        shown = {name: self.frames.moving[name].filmed(self.ingest) for name in names}
         times = {
             name: clocks[name].true_time(np.array([f.time_s for f in of])) for name, of in shown.items() if of
         }
@@ -132,10 +129,9 @@ class _Job:
             self.context.progress(0.2 + 0.8 * n / len(moments), f"what cameras share at {time_s:.1f} s")
             yield {name: self._view(name, shown[name][k]) for name, k in zip(times, frames, strict=True)}
 
-    def _view(self, name: str, frame: FrameRecord) -> View:
-        assert frame.file is not None
+    def _view(self, name: str, frame: Filmed) -> View:
         look = self.base.before_matching(name, frame.index)
-        rgb = look.apply(read_pixels(self.ingest / frame.file)[..., :3])
+        rgb = look.apply(read_pixels(frame.file)[..., :3])
         return View(self.rig.cameras[name].camera, rgb)
 
 

@@ -1,6 +1,6 @@
 """Look at every raw file before anything starts, so that a wrong clip is found now and not after an hour."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 from devrf.capture.session import CaptureSession
@@ -53,24 +53,17 @@ def _check_truth(config: SceneConfig, scene_dir: Path) -> list[str]:
         return []
     from devrf.calibration.truth import read_truth
 
-    try:
-        read_truth(config.path(scene_dir, config.evaluate.truth))
-    except DevrfError as error:
-        return [f"evaluate.truth: {error}"]
-    return []
+    truth = config.path(scene_dir, config.evaluate.truth)
+    return _wrong(lambda: read_truth(truth), "evaluate.truth: ")
 
 
 def _check_dictionary(config: SceneConfig) -> list[str]:
-    board = None if config.capture is None else config.capture.board
+    board = config.board
     if board is None or board.type == "chessboard":
         return []
     from devrf.calibration.boards.spec import dictionary
 
-    try:
-        dictionary(board.dictionary)
-    except DevrfError as error:
-        return [str(error)]
-    return []
+    return _wrong(lambda: dictionary(board.dictionary))
 
 
 def _check_sound(config: SceneConfig, session: CaptureSession) -> list[str]:
@@ -137,24 +130,23 @@ def _check_masks(config: SceneConfig, scene_dir: Path) -> list[str]:
 
 
 def _check_mattes(config: SceneConfig, scene_dir: Path) -> list[str]:
-    mattes = None if config.capture is None else config.capture.mattes
-    if config.capture is None or mattes is None:
+    capture = config.capture
+    if capture is None or capture.mattes is None:
         return []
     from devrf.capture.mattes.chroma import parse_colour
     from devrf.capture.mattes.given import cameras_with_mattes
 
+    mattes, found = capture.mattes, []
     if mattes.colour != "auto":
-        try:
-            parse_colour(mattes.colour)
-        except DevrfError as error:
-            return [f"capture.mattes.colour: {error}"]
+        found = _wrong(lambda: parse_colour(mattes.colour), "capture.mattes.colour: ")
     if mattes.folder is not None:
-        folder, sweep = config.path(scene_dir, mattes.folder), config.capture.static is not None
-        try:
-            cameras_with_mattes(folder, tuple(config.capture.all_cameras), sweep)
-        except DevrfError as error:
-            return [f"capture.mattes: {error}"]
-    return []
+        folder, names, sweep = (
+            config.path(scene_dir, mattes.folder),
+            tuple(capture.all_cameras),
+            capture.static is not None,
+        )
+        found += _wrong(lambda: cameras_with_mattes(folder, names, sweep), "capture.mattes: ")
+    return found
 
 
 def _check_given(config: SceneConfig, scene_dir: Path, session: CaptureSession) -> list[str]:
@@ -169,16 +161,21 @@ def _check_given(config: SceneConfig, scene_dir: Path, session: CaptureSession) 
         given = given_calibration(config, scene_dir, sizes)
     except DevrfError as error:
         return [f"calibration.rig.given: {error}"]
-    capture = config.capture
-    elsewhere = session.static is not None or bool(capture and capture.board and capture.board.joint_clips)
-    if (
-        given is not None
-        and given.rig is None
-        and (config.calibration.rig.method == "given" or not elsewhere)
-    ):
+    elsewhere = session.static is not None or bool(session.joint_clips)
+    wanted = config.calibration.rig.method == "given" or not elsewhere
+    if given is not None and given.rig is None and wanted:
         return [
             "calibration.rig.given: holds intrinsics only (or poses of some cameras); expected the poses of all; give "
             "a sweep (capture.static) or a board that several cameras see (capture.board.joint_clips) too, and set "
             "calibration.rig.method to auto"
         ]
+    return []
+
+
+def _wrong(look: Callable[[], object], key: str = "") -> list[str]:
+    """What is wrong with what the key names, found by reading it; empty where nothing is."""
+    try:
+        look()
+    except DevrfError as error:
+        return [f"{key}{error}"]
     return []

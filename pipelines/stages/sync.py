@@ -41,9 +41,7 @@ def run(context: StageContext) -> None:
     """Write `sync.json` (clocks) and `curves.json` (the correlations they were read from)."""
     folder = context.run_dir / "ingest"
     frames = FrameSet.read(folder)
-    capture = context.config.capture
-    rest: Rest = capture.rest if capture else "none"
-    job = _Job(context, frames, rest)
+    job = _Job(context, frames)
     result = job.solve(frames.trained)
     content: dict[str, Any] = as_dict(result)
     content["shared_s"] = list(shared_span(frames.trained, result))
@@ -78,10 +76,9 @@ def recorded(cameras: Mapping[str, CameraFrames]) -> dict[str, Recorded]:
 class _Job:
     """What cameras heard and saw, as ingest left it, and how clocks are found from it."""
 
-    def __init__(self, context: StageContext, frames: FrameSet, rest: Rest) -> None:
+    def __init__(self, context: StageContext, frames: FrameSet) -> None:
         folder = context.run_dir / "ingest"
         self.context, self.frames = context, frames
-        self.rest: Rest = rest
         self.config = context.config.calibration.sync
         self.brightness = {
             n: Brightness(b[:, 0], b[:, 1:]) for n, b in read_brightness(folder, frames).items() if len(b) > 1
@@ -101,7 +98,7 @@ class _Job:
             recorded(cameras),
             self.config.av_lag_s,
             self.config.readout_s,
-            rest or self.rest,
+            rest or self.context.config.rest,
         )
         return synchronise(
             {name: (float(t[0]), float(t[-1])) for name, t in times.items()},

@@ -11,8 +11,8 @@ import os
 import re
 import time
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
 from devrf.capture.system.durable import read_json, write_json
@@ -130,17 +130,11 @@ def file_digest(path: Path) -> str:
 
 
 def _entries(paths: list[Path]) -> list[list]:
-    """What is remembered of each file; many are read side by side, in as many shares as there are readers."""
+    """What is remembered of each file; many are read side by side."""
     if len(paths) <= FEW:
         return [_entry(path) for path in paths]
-    shares = [range(first, len(paths), READERS) for first in range(READERS)]
-    found: dict[int, list] = {}
-    with ThreadPoolExecutor(READERS) as pool:
-        for share, entries in zip(
-            shares, pool.map(lambda share: [_entry(paths[n]) for n in share], shares), strict=True
-        ):
-            found.update(zip(share, entries, strict=True))
-    return [found[n] for n in range(len(paths))]
+    with ThreadPool(READERS) as pool:
+        return pool.map(_entry, paths)
 
 
 def _entry(path: Path) -> list:

@@ -166,17 +166,14 @@ def console_on(file: Any, **options: Any) -> "Console":
 
 def describe(row: HealthRow) -> str:
     """A row in one line."""
-    if row.value is None:
-        value = "not measured"
-    elif isinstance(row.value, str):
-        value = row.value
-    else:
-        value = f"{row.value:.4g} {row.unit}".rstrip()
-    bound = row.fail if row.verdict == "fail" else row.warn
-    expectation = f" (bound {bound:.4g} {row.unit}".rstrip() + ")" if bound is not None else ""
-    return f"{row.title}: {value}{expectation if row.verdict != 'ok' else ''}" + (
-        f"; {row.remedy}" if row.remedy else ""
-    )
+
+    def amount(value: float | int | str) -> str:
+        return value if isinstance(value, str) else f"{value:.4g} {row.unit}".rstrip()
+
+    bound = {"ok": None, "warn": row.warn, "fail": row.fail}[row.verdict]
+    expectation = "" if bound is None else f" (bound {amount(bound)})"
+    text = f"{row.title}: {'not measured' if row.value is None else amount(row.value)}{expectation}"
+    return f"{text}; {row.remedy}" if row.remedy else text
 
 
 def duration(seconds: float) -> str:

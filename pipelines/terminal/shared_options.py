@@ -22,6 +22,10 @@ SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="Override a key: reconstruct.rays=4096 (repeatable)")
 ]
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
+UntilOption = Annotated[str | None, typer.Option(help="Stop after this stage")]
+AllowUnhealthyOption = Annotated[
+    bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
+]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Only errors")]
 VerboseOption = Annotated[bool, typer.Option("--verbose", help="Every health row, and why nothing runs")]
 

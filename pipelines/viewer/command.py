@@ -4,8 +4,6 @@ import errno
 import os
 import socket
 import threading
-from collections.abc import Collection
-from ipaddress import ip_address
 
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.pipelines.inputs.device import resolve_device
@@ -13,19 +11,19 @@ from devrf.pipelines.run_folder.lock import is_held
 from devrf.pipelines.runner.run_state import Run
 from devrf.pipelines.terminal.exit_codes import STOPPED
 from devrf.pipelines.terminal.signals import stopped_by_signals
+from devrf.pipelines.viewer.own_address import Address, is_loopback
 
 INSTALL = "python -m pip install 'devrf[viewer]'; in a clone: python -m pip install -e '.[viewer]'"
 KINDNESS = 10  # niceness beside a run
 
 
-def view(job: Run, device: str, host: str, port: int, names: Collection[str] = ()) -> None:
+def view(job: Run, device: str, at: Address) -> None:
     """Serve the viewer until the user stops it.
 
     Args:
         job: The run to be looked at; nothing of it runs.
         device: auto, cpu or cuda; auto leaves the GPU to a run that is at work.
-        host, port: Where pages are served.
-        names: By which browsers may ask for them, besides this machine's own.
+        at: Where.
     Raises:
         InputError: The run folder, the library, the port or the device is not there.
     """
@@ -40,51 +38,49 @@ def view(job: Run, device: str, host: str, port: int, names: Collection[str] = (
     except ModuleNotFoundError as error:
         text = f"view needs the extra `viewer` ({error.name} is not installed): {INSTALL}"
         raise InputError("package-missing", text) from None
-    _check_free(host, port)
-    working = is_held(job.run_dir)
-    if working:
+    _check_free(at)
+    if is_held(job.run_dir):
         os.nice(KINDNESS)
         if device == "auto":
             device = "cpu"
             job.talk.say("a run is at work here: the viewer takes the CPU and stands back for it")
     device = resolve_device(device, job.config.budget.gpu_memory_gb)
-    if not _is_loopback(host):
+    if not is_loopback(at.host):
         job.talk.say(
-            f"warning: --host {host} lets everyone in this network see the scene and its pictures; nobody is asked "
-            "for a password",
+            f"warning: --host {at.host} lets everyone in this network see the scene and its pictures; nobody is "
+            "asked for a password",
             style="yellow",
         )
     from devrf.pipelines.viewer.server import Site
 
     with stopped_by_signals():
         try:
-            site = Site(job.config, job.run_dir, device, host, port, [host, *names])
+            site = Site(job.config, job.run_dir, device, at)
         except OSError as error:
-            text = f"--port {port}: cannot be served ({error.strerror or error})"
+            text = f"--port {at.port}: cannot be served ({error.strerror or error})"
             raise DevrfError("port-unusable", text) from None
         try:
-            shown = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-            job.talk.say(f"http://{shown}:{port} (Ctrl-C ends it)")
+            job.talk.say(f"{at} (Ctrl-C ends it)")
             threading.Event().wait()
         finally:
             if not site.close():
                 os._exit(STOPPED)  # Python would crash where it took itself apart beside native code
 
 
-def _check_free(host: str, port: int) -> None:
+def _check_free(at: Address) -> None:
     """Refuse an address that is not this machine's, and a port that is taken; name one that is free."""
     try:
-        _free(host, port)
+        _free(at.host, at.port)
     except socket.gaierror as error:
-        text = f"--host {host}: not known ({error.strerror}); expected an address such as 127.0.0.1"
+        text = f"--host {at.host}: not known ({error.strerror}); expected an address such as 127.0.0.1"
         raise InputError("host-unknown", text) from None
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
-            wrong = f"--host {host}: no address of this machine"
-            text = f"{wrong}; expected one, such as 127.0.0.1, or 0.0.0.0 for all"
+            text = f"--host {at.host}: no address of this machine; expected one, such as 127.0.0.1, or 0.0.0.0 for all"
             raise InputError("host-elsewhere", text) from None
         what = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be used ({error.strerror})"
-        raise InputError("port-unusable", f"--port {port}: {what}; try --port {_free(host, 0)}") from None
+        text = f"--port {at.port}: {what}; try --port {_free(at.host, 0)}"
+        raise InputError("port-unusable", text) from None
 
 
 def _free(host: str, port: int) -> int:
@@ -98,10 +94,3 @@ def _free(host: str, port: int) -> int:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind((host, port))
         return probe.getsockname()[1]
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

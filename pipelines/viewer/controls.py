@@ -10,8 +10,8 @@ from devrf.pipelines.viewer.source import Loaded
 from devrf.reconstruct.rendering.model import DynamicModel
 
 EVERYTHING: str = "everything"
-BOX, STANDS, PART = "what is in the box", "what stands", "part"
-BEHIND = "white"  # what is in the box, where it is shown alone
+STANDS, PART = "what stands", "part"
+BEHIND = "white"  # a part that is shown alone
 STEP_S = 0.001  # of the time slider
 
 
@@ -30,7 +30,7 @@ class Controls:
 
     def __init__(self, gui: viser.GuiApi, changed: Callable[[], None], home: Callable[[], None]) -> None:
         self._changed, self.runs, self._asked = changed, False, 0.0
-        self._standing, self._note = gui.add_html(""), gui.add_markdown("", visible=False)
+        self._standing = gui.add_html("")
         self._slider = gui.add_slider("time, s", 0.0, 1.0, STEP_S, 0.0, visible=False)
         self._slider.on_update(lambda event: self.run(False) if event.client is not None else None)
         self._play = gui.add_button("Play", visible=False)
@@ -52,7 +52,7 @@ class Controls:
             if (self._slider.min, self._slider.max) != (first, last):
                 self._slider.min, self._slider.max, self._slider.value = first, last, first
         self._at_rest.visible = model is not None and model.motion is not None
-        offered = (EVERYTHING, *((BOX,) if model is not None and model.rest.shell is not None else ()))
+        offered = (EVERYTHING,)
         if model is not None and model.movers is not None:
             offered += (STANDS, *(f"{PART} {n + 1}" for n in range(model.movers.parts)))
         if self.shown.options != offered:
@@ -60,12 +60,10 @@ class Controls:
         for name, box in self.groups.items():
             box.value = model is None or GROUPS[name]
 
-    def say(self, standing: str, note: str = "") -> None:
-        """The run's standing, HTML, and a remark on the picture; empty: none."""
+    def say(self, standing: str) -> None:
+        """The run's standing, HTML."""
         if self._standing.content != standing:
             self._standing.content = standing
-        if self._note.content != note:
-            self._note.content, self._note.visible = note, bool(note)
 
     def moment(self, now: float) -> float | None:
         """The time in [0, 1] at a moment of the clock; None: at rest. Where it runs the slider goes on, and around."""
@@ -90,4 +88,4 @@ def some_of(whole: DynamicModel, shown: str) -> DynamicModel:
         return whole.showing(True, ())
     if shown.startswith(PART):
         return whole.showing(False, (int(shown.removeprefix(PART)),)).alone(BEHIND)
-    return whole.alone(BEHIND) if shown == BOX else whole
+    return whole

@@ -1,4 +1,4 @@
-"""Who is served: browsers that were sent to the viewer by its own address, not pages from elsewhere.
+"""Where pages are served, and to whom: browsers that were sent by the viewer's own address, not pages from elsewhere.
 
 A page of any site that is open in a browser of this machine can ask for `ws://localhost` (its Origin tells), and a name
 of its own can be made to lead here (DNS rebinding; the Host tells). viser asks for neither.
@@ -7,11 +7,31 @@ of its own can be made to lead here (DNS rebinding; the Host tells). viser asks 
 import socket
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from ipaddress import ip_address
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from typing import Any
 from urllib.parse import urlsplit
 
 FORBIDDEN = 403  # of HTTP
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where pages are served.
+
+    Attributes:
+        host, port: What the server listens on.
+        names: By which browsers may ask for them, besides this machine's own.
+    """
+
+    host: str
+    port: int
+    names: Collection[str] = ()
+
+    def __str__(self) -> str:
+        """What a browser on this machine is given."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"http://{'localhost' if self.host in ('0.0.0.0', '::') else host}:{self.port}"
 
 
 def refusal(host: str | None, origin: str | None, names: Collection[str]) -> str | None:
@@ -21,18 +41,14 @@ def refusal(host: str | None, origin: str | None, names: Collection[str]) -> str
         host, origin: Its headers.
         names: Under which the viewer may be reached, besides addresses in numbers and this machine's own name.
     """
-    own = {"localhost", socket.gethostname().lower(), *(name.lower() for name in names)}
-    name = _name(f"//{host}")
-    if name is None or not (name in own or _is_number(name)):
-        return (
-            f"Host {host}: is not this viewer's; if it should be, start it with --allow-host {name or 'NAME'}"
-        )
-    if origin is None or urlsplit(origin).netloc == host:
+    named, name = {name.lower() for name in names}, _name(f"//{host}")
+    own = {"localhost", socket.gethostname().lower(), *named}
+    remedy = "if it should be, start it with --allow-host"
+    if name is None or not (name in own or _number(name) is not None):
+        return f"Host {host}: is not this viewer's; {remedy} {name or 'NAME'}"
+    if origin is None or urlsplit(origin).netloc == host or _name(origin) in named:
         return None
-    asking = _name(origin)
-    if asking in {name.lower() for name in names}:
-        return None
-    return f"Origin {origin}: is not this viewer's page; if it should be, start it with --allow-host {asking or 'NAME'}"
+    return f"Origin {origin}: is not this viewer's page; {remedy} {_name(origin) or 'NAME'}"
 
 
 @contextmanager
@@ -58,6 +74,12 @@ def only_own_pages(names: Collection[str]) -> Iterator[None]:
         server.serve = serve
 
 
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches what is served there."""
+    number = _number(host)
+    return host == "localhost" if number is None else number.is_loopback
+
+
 def _name(url: str) -> str | None:
     try:
         return urlsplit(url).hostname
@@ -65,9 +87,8 @@ def _name(url: str) -> str | None:
         return None
 
 
-def _is_number(name: str) -> bool:
+def _number(name: str) -> IPv4Address | IPv6Address | None:
     try:
-        ip_address(name)
+        return ip_address(name)
     except ValueError:
-        return False
-    return True
+        return None

@@ -1,5 +1,6 @@
 """What the viewer says about a run: what it shows, how far the run is, how healthy it is."""
 
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -16,21 +17,22 @@ LINE = '<div style="font-size:0.85em;margin:0.35em 0.75em;overflow-wrap:anywhere
 PILL = '<span style="color:#fff;border-radius:0.6em;padding:0.05em 0.5em;background:{}">{}</span> '
 
 
-def standing(config: SceneConfig, run_dir: Path, loaded: Loaded, unreadable: str = "") -> str:
+def standing(
+    config: SceneConfig, run_dir: Path, loaded: Loaded, wrong: Mapping[str, str] | None = None
+) -> str:
     """HTML: what is shown, whether the run is finished, and whether it is healthy.
 
     Args:
         config: Of the scene.
         run_dir: The run folder.
         loaded: What is shown.
-        unreadable: Why what is newest cannot be shown; empty: it is.
+        wrong: What is amiss with the viewer's own picture of it: name and reason; empty reasons are none.
     """
     applying = [stage.name for stage in STAGES if stage.applies(config) is None]
     missing = [name for name in applying if not (run_dir / name).is_dir()]
     working = is_held(run_dir)
     lines = [f"<b>{escape(config.name)}</b>: {_shown(loaded, working)}"]
-    if unreadable:
-        lines.append(PILL.format(FAIL, "not readable") + escape(unreadable))
+    lines += [PILL.format(FAIL, what) + escape(why) for what, why in (wrong or {}).items() if why]
     if working:
         event = progress(run_dir)
         share = f" {100 * event['fraction']:.0f} %" if "fraction" in event else ""
@@ -55,13 +57,11 @@ def standing(config: SceneConfig, run_dir: Path, loaded: Loaded, unreadable: str
 
 def _shown(loaded: Loaded, working: bool) -> str:
     found = loaded.found
-    doing = "in training" if working else "from a training that was interrupted"
     if loaded.model is None:
         awaited = "the scene" if found.scene is None else "the first state of a training"
         what = "nothing to show yet" if found.scene is None else "cameras and points, no model yet"
         return f"{what}; {'awaiting' if working else 'there is no run at work to make'} {awaited}"
-    if found.rest_training is not None:
-        return f"scene at rest, <b>{doing}</b>"
-    if found.motion_training is not None:
-        return f"motion, <b>{doing}</b>"
+    if found.training is not None:
+        what = "scene at rest" if found.training[0] == "canonical" else "motion"
+        return f"{what}, <b>{'in training' if working else 'from a training that was interrupted'}</b>"
     return "finished model" if loaded.model.motion is not None else "finished model at rest"

@@ -40,9 +40,8 @@ def furnish(
 
     def frustum(name: str, frame: PosedFrame, size: float, colour: tuple[int, int, int]) -> None:
         camera = frame.camera
-        fov = 2 * float(np.arctan(camera.height / 2 / camera.K[1, 1]))
         handle = space.add_camera_frustum(
-            name, fov, camera.width / camera.height, scale=size * radius, color=colour,
+            name, camera.fov_y, camera.width / camera.height, scale=size * radius, color=colour,
             thickness=LINE_PX, thickness_units="screen", wxyz=quat_wxyz(camera.cam_from_world[:, :3].T),
             position=camera.centre, cast_shadow=False, receive_shadow=False,
         )  # fmt: skip

@@ -6,9 +6,10 @@ all; what is replaced while it is read cannot be read, and is looked for again.
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.scene import Scene
@@ -17,11 +18,12 @@ from devrf.pipelines.run_folder.lock import is_held
 from devrf.pipelines.run_folder.training_checkpoint import checkpoint_path
 from devrf.pipelines.stamps.stamp import read_stamp, stamp_content, stamp_id
 from devrf.pipelines.terminal.logs import EVENTS_FILE
-
-if TYPE_CHECKING:  # they need torch
-    from devrf.reconstruct.rendering.model import DynamicModel
+from devrf.reconstruct.rendering.model import DynamicModel
+from devrf.reconstruct.storage.model_io import FILE, load_model, load_rest
+from devrf.reconstruct.storage.unfinished import motion_in_training, rest_in_training
 
 TAIL_BYTES = 4096  # of events.jsonl: its last lines
+CHUNK_CPU = 1 << 12  # rays between two looks at what is wanted
 
 
 @dataclass(frozen=True)
@@ -31,14 +33,13 @@ class Found:
     Attributes:
         scene: Cameras, pictures and points.
         rest, motion: Finished models that belong together.
-        rest_training, motion_training: Checkpoints of trainings that replace them.
+        training: The stage whose training is shown instead of its model, and when its checkpoint was written, ns.
     """
 
     scene: str | None = None
     rest: str | None = None
     motion: str | None = None
-    rest_training: int | None = None
-    motion_training: int | None = None
+    training: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -53,42 +54,50 @@ class Loaded:
 
     found: Found = Found()
     scene: Scene | None = None
-    model: "DynamicModel | None" = None
+    model: DynamicModel | None = None
 
 
 def look(run_dir: Path) -> Found:
     """What is there now. Beside a finished model only the training of a run at work counts."""
     scene, rest, motion = (stamp_id(run_dir / stage) for stage in ("scene", "canonical", "deformation"))
-    if motion is not None and not _made_of(run_dir / "deformation", run_dir / "canonical"):
+    made_of = (read_stamp(run_dir / "deformation") or {}).get("identity", {}).get("reads", {})
+    if made_of.get("canonical") != stamp_content(run_dir / "canonical"):
         motion = None
     working = is_held(run_dir)
-    at_rest, in_motion = (
-        _written(checkpoint_path(run_dir, stage)) if working or made is None else None
-        for stage, made in (("canonical", rest), ("deformation", motion))
-    )
-    return Found(
-        scene,
-        rest,
-        motion if at_rest is None else None,
-        at_rest,
-        in_motion if rest is not None and at_rest is None else None,
-    )
+    for stage, made in (("canonical", rest), ("deformation", motion)):
+        checkpoint = checkpoint_path(run_dir, stage)
+        if (working or made is None) and checkpoint.is_file():
+            return Found(scene, rest, None, (stage, checkpoint.stat().st_mtime_ns))
+        if made is None:
+            break
+    return Found(scene, rest, motion)
 
 
-def load(run_dir: Path, found: Found, device: str, before: Loaded) -> Loaded:
-    """Read what was found; what cannot be read now stays as it was before.
+def load(run_dir: Path, found: Found, device: str) -> Loaded:
+    """Read what was found.
 
     Raises:
         DevrfError: A file is damaged, or was replaced meanwhile.
     """
     if found.scene is None:
-        return before
+        return Loaded()
     try:
-        scene = read_scene(run_dir / "scene")
+        scene = read_scene(run_dir / "scene").in_box_frame()
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DevrfError("scene-unreadable", f"{run_dir / 'scene'}: cannot be read ({error})") from None
-    trained = found.rest is not None or found.rest_training is not None
-    return Loaded(found, scene.in_box_frame(), _model(run_dir, found, device) if trained else None)
+    training, model = found.training, None
+    if training is not None and training[0] == "canonical":
+        model = DynamicModel(rest_in_training(checkpoint_path(run_dir, "canonical"), device))
+    elif training is not None:
+        rest = load_rest(run_dir / "canonical" / FILE, device)
+        model = DynamicModel(rest, motion_in_training(checkpoint_path(run_dir, "deformation"), device))
+    elif found.rest is not None:
+        model = load_model(run_dir, device)
+        if found.motion is None:
+            model = replace(model, motion=None, in_motion=None, movers=None)
+    if model is not None and device == "cpu":
+        model.chunk = min(model.chunk, CHUNK_CPU)
+    return Loaded(found, scene, model)
 
 
 def progress(run_dir: Path) -> dict[str, Any]:
@@ -100,38 +109,7 @@ def progress(run_dir: Path) -> dict[str, Any]:
     except OSError:
         return {}
     for line in reversed(lines):
-        try:
+        with suppress(ValueError, AttributeError):  # the first is cut off, the last may be
             event = json.loads(line)
-        except ValueError:  # the first is cut off, the last may be
-            continue
-        if isinstance(event, dict):
             return event if event.get("event") in ("progress", "stage_started") else {}
     return {}
-
-
-def _model(run_dir: Path, found: Found, device: str) -> "DynamicModel":
-    from devrf.reconstruct.rendering.model import DynamicModel
-    from devrf.reconstruct.storage.model_io import FILE, load_model, load_rest
-    from devrf.reconstruct.storage.unfinished import motion_in_training, rest_in_training
-
-    if found.rest_training is not None:
-        return DynamicModel(rest_in_training(checkpoint_path(run_dir, "canonical"), device))
-    if found.motion_training is not None:
-        rest = load_rest(run_dir / "canonical" / FILE, device)
-        return DynamicModel(rest, motion_in_training(checkpoint_path(run_dir, "deformation"), device))
-    model = load_model(run_dir, device)
-    return model if found.motion is not None else replace(model, motion=None, in_motion=None, movers=None)
-
-
-def _made_of(folder: Path, read: Path) -> bool:
-    """Whether a stage was made of what another one holds now."""
-    identity = (read_stamp(folder) or {}).get("identity", {})
-    return identity.get("reads", {}).get(read.name) == stamp_content(read)
-
-
-def _written(path: Path) -> int | None:
-    """When a file was written, ns."""
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        return None

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from devrf.capture.scene import PosedFrame, Scene
+from devrf.capture.scene import PosedFrame, Scene, by_camera
 
 
 def training(frames: Sequence[PosedFrame]) -> tuple[PosedFrame, ...]:
@@ -12,10 +12,8 @@ def training(frames: Sequence[PosedFrame]) -> tuple[PosedFrame, ...]:
 
 def clips(scene: Scene) -> dict[str, list[PosedFrame]]:
     """The pictures of the moving scene that are trained on, by camera, in the order of their times."""
-    out: dict[str, list[PosedFrame]] = {}
-    for frame in sorted(training(scene.dynamic), key=lambda f: f.time or 0.0):
-        out.setdefault(frame.camera_name, []).append(frame)
-    return dict(sorted(out.items()))
+    found = by_camera(sorted(training(scene.dynamic), key=lambda f: f.time or 0.0))
+    return dict(sorted(found.items()))
 
 
 def in_two(frames: Sequence[PosedFrame]) -> tuple[list[PosedFrame], list[PosedFrame]]:

@@ -37,10 +37,8 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     out = {}
     for name, moves in (("moving", True), ("at rest", False)):
         scene = write_trained(tmp_path_factory.mktemp("ball"), moves=moves)
-        options = Options(splats=1500)
-        out[name] = (
-            export(Talk("quiet"), scene.parent / "run", "player", None, options, TITLE) / "player.html"
-        )
+        options = Options("player", splats=1500)
+        out[name] = export(Talk("quiet"), scene.parent / "run", options, TITLE) / "player.html"
     return out
 
 
@@ -95,7 +93,7 @@ def test_it_shows_what_the_model_shows(page: Any, pages: dict[str, Path]) -> Non
 def test_rigid_parts_turn_as_the_model_does(page: Any, tmp_path: Path) -> None:
     model = moving_parts()
     run = write_trained(tmp_path, model=model).parent / "run"
-    folder = export(Talk("quiet"), run, "player", None, Options(splats=3000, times="0s,1s"))
+    folder = export(Talk("quiet"), run, Options("player", splats=3000, times="0s,1s"))
     opened(page, folder / "player.html")
     seen = {}
     for moment in (0.0, 0.5, 1.0):  # between them it turns along the arc

@@ -19,7 +19,9 @@ from tests.waiting import wait_for
 from devrf.capture.photos.resize import shrink
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.viewer import server as viewer_site
-from devrf.pipelines.viewer.server import Site, first_camera, seen_by
+from devrf.pipelines.viewer.own_address import Address
+from devrf.pipelines.viewer.server import Site
+from devrf.pipelines.viewer.views import first_camera, seen_by
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.rendering.model import DynamicModel, render_view
 from devrf.reconstruct.storage.model_io import load_model
@@ -86,7 +88,8 @@ def visited(
     run = ViewerRun(tmp_path_factory.mktemp("viewer"))
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
-    site = Site(load_scene(run.scene_yaml, check_files=False), run.run_dir, "cpu", "127.0.0.1", port)
+    at = Address("127.0.0.1", port)
+    site = Site(load_scene(run.scene_yaml, check_files=False), run.run_dir, "cpu", at)
     page = browser.new_page(viewport=WINDOW)
     complaints: list[str] = []
     page.on("pageerror", lambda error: complaints.append(str(error)))

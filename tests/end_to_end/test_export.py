@@ -24,8 +24,8 @@ MEDIAN_M = 0.015  # a voxel and a half; measured 0.008
 @pytest.mark.parametrize("whole_run", ["example_run"], indirect=True)
 def test_the_sheet_that_moves_is_where_it_was(whole_run: ExampleRun, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
-    options = Options(times=f"{TIME_S}s", device="cpu")
-    folder = export(Talk("quiet"), whole_run.run_dir, "glb", tmp_path / "out", options)
+    options = Options("glb", tmp_path / "out", times=f"{TIME_S}s", device="cpu")
+    folder = export(Talk("quiet"), whole_run.run_dir, options)
     facts = json.loads((folder / "export.json").read_text())
     mesh = read_glb(folder / "scene.glb")
 

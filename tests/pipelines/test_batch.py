@@ -190,7 +190,7 @@ def test_shares_of_this_machine(
     monkeypatch.setattr(command, "left_bytes", lambda: 9e9 / (1 - command.RESERVE))
     monkeypatch.setattr(command, "resolve_device", lambda device: "cuda" if gpus else "cpu")
     monkeypatch.setattr("torch.cuda.device_count", lambda: gpus)
-    pool = command._local(command.Machines(jobs=jobs))
+    pool = command._local(Options(jobs=jobs))
     assert (pool._places.qsize(), pool.threads, pool.gpus) == expected
     assert pool.memory_gb == pytest.approx(9 / expected[0])
 
@@ -224,14 +224,12 @@ def test_a_gpu_that_is_not_there_is_said_before_the_scenes_are_looked_at(
     monkeypatch.setattr(command, "look", lambda *arguments, **options: pytest.fail("looked"))
     for device, refusal in (("cuda", "gpu-missing"), ("gpu", "option-unknown-value")):
         with refused(refusal, f"--device {device}", kind=InputError):
-            command.batch(
-                Talk("quiet"), [tmp_path], Options(), command.Machines(device=device), tmp_path / "o"
-            )
+            command.batch(Talk("quiet"), [tmp_path], Options(device=device, out=tmp_path / "o"))
 
 
 def test_a_summary_that_cannot_be_made_is_a_mistake_of_the_command() -> None:
     with refused("folder-unwritable", "--out /proc/x: ", kind=InputError):
-        command.batch(Talk("quiet"), [Path("a")], Options(), command.Machines(), Path("/proc/x"))
+        command.batch(Talk("quiet"), [Path("a")], Options(out=Path("/proc/x")))
 
 
 def test_an_option_that_is_gone_says_what_to_do(devrf_process: Command, tmp_path: Path) -> None:

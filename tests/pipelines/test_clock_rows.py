@@ -321,7 +321,8 @@ def test_d22_d23_geometry_against_the_clocks():
 
 def test_clips_too_short_for_geometry_keep_their_clocks(tmp_path: Path):
     short = {name: camera(seconds=0.3) for name in NAMES}
-    assert clock_check(tmp_path, short, {}, HEARD, {}, no_progress) == (HEARD, [], {})
+    views = timed_pictures(tmp_path, short, {}, HEARD, {})
+    assert clock_check(views, short, HEARD, no_progress) == (HEARD, [], {})
 
 
 def test_a_camera_that_films_when_the_others_do_not_is_left_out_of_geometry(tmp_path: Path):

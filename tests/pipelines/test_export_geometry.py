@@ -50,7 +50,7 @@ def run_dir(odd_scene: Scene, tmp_path: Path) -> Path:
 
 
 def exported(run: Path, name: str, **options) -> tuple[Path, dict]:
-    folder = export(Talk("quiet"), run, name, None, Options(**options))
+    folder = export(Talk("quiet"), run, Options(name, **options))
     return folder, json.loads((folder / "export.json").read_text()) if name in MODEL else {}
 
 
@@ -243,7 +243,7 @@ def test_a_run_that_is_not_finished_or_not_healthy(run_dir: Path) -> None:
     row["remedy"] = "film slower"
     (run_dir / "scene" / "health.json").write_text(json.dumps({"rows": [row]}))
     _, facts = exported(run_dir, "ply", times="1")
-    assert facts["notes"][0].endswith("scene: sweep registered; film slower")
+    assert facts["notes"][0].endswith("scene is unhealthy: sweep registered; film slower")
     (run_dir / "canonical" / "stamp.json").unlink()
     with refused("stage-not-made", "the model", "--until canonical", kind=InputError):
         exported(run_dir, "glb")
@@ -269,10 +269,10 @@ def test_folders_in_use(run_dir: Path, tmp_path: Path) -> None:
     (folder / "stray.txt").unlink()
     exported(run_dir, "ply", times="1")
     with refused("folder-exists", f"--out {folder}: ", " ply", kind=InputError):
-        export(Talk("quiet"), run_dir, "splat", folder)
+        export(Talk("quiet"), run_dir, Options("splat", folder))
     (tmp_path / "file").write_text("")
     with refused("folder-unwritable", tmp_path / "file", kind=InputError):
-        export(Talk("quiet"), run_dir, "splat", tmp_path / "file" / "out")
+        export(Talk("quiet"), run_dir, Options("splat", tmp_path / "file" / "out"))
 
 
 def test_the_command(devrf: Callable, run_dir: Path) -> None:

@@ -88,7 +88,7 @@ FORMATS: dict[str, Callable[[Path, dict[str, Any]], Shown]] = {
 def exported(run: Path, folder: Path, name: str, **options: Any) -> tuple[Path, dict[str, Any]]:
     if name == "glb":
         pytest.importorskip("skimage")
-    folder = export(Talk("quiet"), run, name, folder / name, Options(**options))
+    folder = export(Talk("quiet"), run, Options(name, folder / name, **options))
     return folder, json.loads((folder / "export.json").read_text())
 
 

@@ -48,7 +48,7 @@ def sound(offset_s: float, seconds: float = 4.0) -> Sound:
 def context(tmp_path: Path, method: str = "auto") -> StageContext:
     config: Any = SimpleNamespace(
         calibration=SimpleNamespace(sync=SimpleNamespace(method=method, av_lag_s={}, readout_s={})),
-        capture=SimpleNamespace(rest="start"),
+        rest="start",
     )
     out = tmp_path / "sync"
     out.mkdir()

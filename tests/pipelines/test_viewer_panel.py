@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.pipelines.film_folder import halves_model
-from tests.pipelines.trained_run import boxed_model
 
 from devrf.pipelines.viewer.controls import Controls, some_of
-from devrf.pipelines.viewer.server import middle
+from devrf.pipelines.viewer.views import middle
 
 
 def panel(value: float, at_rest: bool = False, moves: bool = True) -> Any:
@@ -37,11 +36,8 @@ def test_what_stands_and_one_part_alone_can_be_chosen() -> None:
     assert some_of(model, "everything") is model
     stands, upper = some_of(model, "what stands"), some_of(model, "part 2")
     assert stands.movers is not None and upper.movers is not None
+    assert upper.rest.background == "white"
     assert (stands.movers.labels == 0).all() and set(upper.movers.labels.unique().tolist()) == {0, 2}
-
-
-def test_what_is_in_the_box_alone_is_before_white() -> None:
-    assert some_of(boxed_model(), "what is in the box").rest.background == "white"
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from tests.waiting import wait_for
 
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.run_folder.lock import LEASE_S, Lock, is_held
+from devrf.pipelines.viewer.own_address import Address
 from devrf.pipelines.viewer.run_status import standing
 from devrf.pipelines.viewer.server import Site
 from devrf.pipelines.viewer.source import Found, Loaded, load, look, progress
@@ -34,7 +35,7 @@ def told(run: ViewerRun, loaded: Loaded) -> str:
 
 def test_what_is_shown_follows_the_run(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
     def now() -> Loaded:
-        return load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+        return load(run.run_dir, look(run.run_dir), "cpu")
 
     assert look(run.run_dir) == Found() and now().scene is None
     assert "nothing to show yet" in told(run, now()) and "no run at work" in told(run, now())
@@ -50,7 +51,7 @@ def test_what_is_shown_follows_the_run(run: ViewerRun, ball: Ball, rest: RestMod
     expected = render_view(loaded.model, camera, None)
     run.rest(rest)
     loaded = now()
-    assert loaded.found.rest_training is None and loaded.model is not None
+    assert loaded.found.training is None and loaded.model is not None
     assert np.abs(render_view(loaded.model, camera, None) - expected).max() < 0.05  # packed in bytes
     run.motion(rest)
     loaded = now()
@@ -64,24 +65,24 @@ def test_a_training_shows_only_while_a_run_is_at_work(run: ViewerRun, ball: Ball
     run.motion(rest)
     run.rest_in_training(rest)
     found = look(run.run_dir)
-    assert found.rest_training is None and found.motion is not None  # one that was given up
+    assert found.training is None and found.motion is not None  # one that was given up
     lock = Lock(run.run_dir)
     lock.take()
     try:
         found = look(run.run_dir)
-        assert found.rest_training is not None and found.motion is None
+        assert found.training is not None and found.training[0] == "canonical" and found.motion is None
         events = [
             {"event": "stage_started", "stage": "canonical"},
             {"event": "progress", "stage": "canonical", "fraction": 0.25, "text": "PSNR <20> dB"},
         ]
         lines = "".join(json.dumps(event) + "\n" for event in events)
         (run.run_dir / "events.jsonl").write_text("x" * 5000 + "\n" + lines + '{"half')
-        said = told(run, load(run.run_dir, found, "cpu", Loaded()))
+        said = told(run, load(run.run_dir, found, "cpu"))
         assert "run at work" in said and "canonical 25 %: PSNR &lt;20&gt; dB" in said
         assert "<b>in training" in said
     finally:
         lock.release()
-    assert look(run.run_dir).rest_training is None
+    assert look(run.run_dir).training is None
     (run.run_dir / "events.jsonl").write_text('{"event": "run_finished"}\n')
     assert progress(run.run_dir) == {}
 
@@ -91,7 +92,7 @@ def test_a_motion_of_another_scene_at_rest_is_not_shown(run: ViewerRun, ball: Ba
     run.rest(rest)
     run.motion(rest, made_of="something else")
     assert look(run.run_dir).motion is None
-    model = load(run.run_dir, look(run.run_dir), "cpu", Loaded()).model
+    model = load(run.run_dir, look(run.run_dir), "cpu").model
     assert model is not None and model.motion is None
 
 
@@ -100,16 +101,16 @@ def test_what_is_damaged_is_named(run: ViewerRun, ball: Ball, rest: RestModel) -
     run.rest(rest)
     (run.run_dir / "canonical/model.safetensors").write_bytes(b"half")
     with refused("file-damaged", "model.safetensors"):
-        load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+        load(run.run_dir, look(run.run_dir), "cpu")
     (run.run_dir / "scene/scene.json").write_text("{")
     with refused("file-damaged", run.run_dir / "scene" / "scene.json"):
-        load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+        load(run.run_dir, look(run.run_dir), "cpu")
 
 
 def test_what_is_not_well_is_said(run: ViewerRun, ball: Ball, rest: RestModel) -> None:
     run.scene(ball.scene)
     run.rest(rest)
-    loaded = load(run.run_dir, look(run.run_dir), "cpu", Loaded())
+    loaded = load(run.run_dir, look(run.run_dir), "cpu")
     said = told(run, loaded)
     assert "not finished" in said and "deformation, evaluate" in said and "ball &lt;b&gt;" in said
     assert "healthy" not in said
@@ -147,7 +148,8 @@ def test_a_damaged_model_is_shown_as_such_until_it_is_replaced(
     (run.run_dir / "canonical/model.safetensors").write_bytes(b"half")
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
-    site = Site(load_scene(run.scene_yaml, check_files=False), run.run_dir, "cpu", "127.0.0.1", port)
+    at = Address("127.0.0.1", port)
+    site = Site(load_scene(run.scene_yaml, check_files=False), run.run_dir, "cpu", at)
     try:
         assert site.loaded.scene is not None and site.loaded.model is None
         assert "not readable" in site.standing() and "model.safetensors" in site.standing()

@@ -124,7 +124,7 @@ class _Job:
     @property
     def board_is_measured(self) -> bool:
         """Whether there is a board whose squares have a known size."""
-        board = None if self.context.config.capture is None else self.context.config.capture.board
+        board = self.context.config.board
         return board is not None and board.metric
 
     @cached_property
@@ -262,9 +262,8 @@ class _Job:
     def look_for_bumps(self) -> None:
         """Whether the fixed cameras stayed where they were over their clips."""
         for name, camera in self.frames.moving.items():
-            seen = [(f.file, f.time_s) for f in camera.used if f.file is not None and f.time_s is not None]
-            files = [self.ingest / file for file, _ in seen]
-            self.measures += bump_measures(name, find_bump(files, [t for _, t in seen]))
+            seen = camera.filmed(self.ingest)
+            self.measures += bump_measures(name, find_bump([f.file for f in seen], [f.time_s for f in seen]))
 
     def _register(
         self,
@@ -276,8 +275,7 @@ class _Job:
     ) -> SweepRig:
         clean = self.context.out / "clean"
         clean.mkdir(exist_ok=True)
-        rest = self.context.config.capture.rest if self.context.config.capture else "none"
-        inputs = []
+        rest, inputs = self.context.config.rest, []
         for name, camera in cameras.items():
             pictures = clean_pictures(name, files_of(self.context.run_dir, camera), rest, clean)
             inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, known.get(name)))

@@ -1,10 +1,9 @@
 """A capture that has been calibrated, as a scene: its pictures with cameras and exact times, and its box."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,20 +14,17 @@ from devrf.calibration.extent.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, sce
 from devrf.calibration.extent.box_checks import points_of_subject
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
-from devrf.capture.frames import CameraFrames, FrameSet
-from devrf.capture.ingest.ingest import read_motion
+from devrf.capture.frames import FrameSet
 from devrf.capture.mattes.given import SWEEP
 from devrf.capture.measure import Measure, of_test
-from devrf.capture.scene import PosedFrame, Scene, SparsePoints
-from devrf.capture.system.durable import write_json
+from devrf.capture.scene import PosedFrame, Scene, SparsePoints, by_camera
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.progress import part
 from devrf.pipelines.health.box_rows import box_measures
 from devrf.pipelines.health.left_out import NO_PICTURE, left_out
 from devrf.pipelines.health.matte_rows import matte_measures
-from devrf.pipelines.run_folder.clocks import clock_dict, read_clocks, read_contradictions
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.scene.clock_check import clock_check
+from devrf.pipelines.stages.scene.clock_check import checked_clocks
 from devrf.pipelines.stages.scene.filmed_clips import filmed_clip, stretches_of
 from devrf.pipelines.stages.scene.measured_rest import rest_time
 from devrf.pipelines.stages.scene.scene_mattes import scene_mattes
@@ -59,7 +55,7 @@ def scene_from_capture(
     model = None if whole is None else whole.without_held_out(every)
     factor = rig.scale.factor
     static = () if whole is None else _sweep_frames(whole, ingest, factor, every)
-    clocks = _clocks(context, frames, rig)
+    clocks = checked_clocks(context, frames, rig)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
     context.measures += unused(frames.trained, frames.tests, dynamic)
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
@@ -103,8 +99,7 @@ def scene_from_capture(
     context.measures += box_measures(bounds, moves, mattes, dynamic, training(static))
     rest = None
     if dynamic:
-        of_camera = {n: [f for f in dynamic if f.camera_name == n] for n in moves}
-        filmed = {name: clip for name, clip in of_camera.items() if len(clip) > 1}
+        filmed = {n: clip for n, clip in by_camera(dynamic).items() if n in moves and len(clip) > 1}
         rest, seen = rest_time(
             config.capture.rest, filmed, moves, _shared(training(dynamic)), model, factor, ingest
         )
@@ -156,45 +151,6 @@ def _with_looks(folder: Path, *parts: tuple[PosedFrame, ...]) -> tuple[tuple[Pos
     )
 
 
-def _clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Clock]:
-    """The moving cameras' clocks: what `sync` found, checked by geometry and replaced where that is surer.
-
-    Those of test cameras come after, each against the others, which stand.
-    """
-    if len(frames.moving) < 2:
-        return read_clocks(context.run_dir) if frames.moving else {}
-    ingest, said = context.run_dir / "ingest", read_clocks(context.run_dir)
-    cameras = {name: camera.camera for name, camera in rig.cameras.items()}
-    motion, contradictions = read_motion(ingest, frames), read_contradictions(context.run_dir)
-    parts = 1 + len(frames.tests)
-
-    def check(
-        n: int, asked: Mapping[str, CameraFrames], clocks: Mapping[str, Clock], test: str | None = None
-    ) -> tuple[dict[str, Clock], list[Measure], dict[str, Any]]:
-        return clock_check(
-            ingest, asked, cameras, clocks, motion,
-            part(context.progress, 0.4 * n / parts, 0.4 / parts),
-            () if test is None else frames.trained, contradictions.get(test),
-        )  # fmt: skip
-
-    clocks = {name: said[name] for name in frames.trained}
-    content: dict[str, Any] = {}
-    if len(clocks) > 1:
-        clocks, measured, content = check(0, frames.trained, clocks)
-        context.measures += measured
-    content = content or {"cameras": {name: clock_dict(clock) for name, clock in clocks.items()}}
-    content["tests"] = {}
-    for n, (name, camera) in enumerate(frames.tests.items()):
-        alone = {one: clocks[one] for one in frames.trained} | {name: said[name]}
-        found, measured, told = check(n + 1, frames.trained | {name: camera}, alone, name)
-        clocks[name] = found[name]
-        content["cameras"][name] = clock_dict(found[name])
-        content["tests"][name] = {key: value for key, value in told.items() if key != "cameras"}
-        context.measures += of_test(name, measured)
-    write_json(context.out / "clock_check.json", content, indent=None)
-    return clocks
-
-
 def _placed(frames: FrameSet, rig: Rig) -> FrameSet:
     """What was filmed, without test cameras that have no place in the rig."""
     return replace(
@@ -213,11 +169,7 @@ def _moving_frames(
     ingest = context.run_dir / "ingest"
     times: dict[str, list[tuple[int, Path, float]]] = {}
     for name, camera in frames.moving.items():
-        times[name] = [
-            (f.index, ingest / f.file, clocks[name].true_time(f.time_s))
-            for f in camera.used
-            if f.file is not None and f.time_s is not None
-        ]
+        times[name] = [(f.index, f.file, clocks[name].true_time(f.time_s)) for f in camera.filmed(ingest)]
         if not times[name] and name in frames.tests:
             del times[name]  # nothing of it is measured
         elif not times[name]:
@@ -272,10 +224,8 @@ def unused(trained: Collection[str], tests: Collection[str], dynamic: Sequence[P
 
 def _shared(dynamic: Sequence[PosedFrame]) -> tuple[float, float]:
     """The first and the last time at which all of these cameras film; may be none, the first after the last."""
-    times: dict[str, list[float]] = {}
-    for frame in dynamic:
-        times.setdefault(frame.camera_name, []).append(frame.time or 0.0)
-    return max(min(t) for t in times.values()), min(max(t) for t in times.values())
+    times = [[frame.time or 0.0 for frame in of] for of in by_camera(dynamic).values()]
+    return max(map(min, times)), min(map(max, times))
 
 
 def _points(model: SweepModel, factor: float, every: int) -> SparsePoints:

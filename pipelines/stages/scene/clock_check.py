@@ -1,4 +1,4 @@
-"""Clocks against geometry, once cameras are known: reads pictures, calls the check, says what it measured."""
+"""Clocks against geometry, once cameras are known: reads pictures, calls the check, writes and says what it found."""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict
@@ -19,12 +19,15 @@ from devrf.calibration.clocks.geometry import (
     refined,
 )
 from devrf.calibration.clocks.spans import most_together
+from devrf.calibration.rigs.rig import Rig
 from devrf.capture.camera import Camera
-from devrf.capture.frames import CameraFrames
+from devrf.capture.frames import CameraFrames, FrameSet
+from devrf.capture.ingest.ingest import read_motion
 from devrf.capture.ingest.survey import small
-from devrf.capture.measure import Measure
+from devrf.capture.measure import Measure, of_test
 from devrf.capture.photos.upright_pictures import read_grey
-from devrf.capture.system.progress import Progress
+from devrf.capture.system.durable import write_json
+from devrf.capture.system.progress import Progress, part
 from devrf.pipelines.health.clock_rows import (
     BY_TRACKING,
     REFUSED_BELOW,
@@ -32,12 +35,50 @@ from devrf.pipelines.health.clock_rows import (
     confidence_measure,
     frame_ms,
 )
-from devrf.pipelines.run_folder.clocks import clock_dict, curve_dict
+from devrf.pipelines.run_folder.clocks import clock_dict, curve_dict, read_clocks, read_contradictions
+from devrf.pipelines.stage import StageContext
 
 SIDE_PX = 480  # of the longer side: descriptors still find cloth and skin, tracking takes milliseconds
 MOST_FRAMES = 96  # of each camera, where most moves: more do not make the minimum sharper, only slower
 MIN_FRAMES = 12
 UNKNOWN_FRAMES = 3.0  # standard deviation of a clock by geometry that is worth a refusal
+
+
+def checked_clocks(context: StageContext, frames: FrameSet, rig: Rig) -> dict[str, Clock]:
+    """The moving cameras' clocks: what `sync` found, checked by geometry and replaced where that is surer.
+
+    Those of test cameras come after, each against the others, which stand.
+    """
+    if len(frames.moving) < 2:
+        return read_clocks(context.run_dir) if frames.moving else {}
+    ingest, said = context.run_dir / "ingest", read_clocks(context.run_dir)
+    cameras = {name: camera.camera for name, camera in rig.cameras.items()}
+    motion, contradictions = read_motion(ingest, frames), read_contradictions(context.run_dir)
+    parts = 1 + len(frames.tests)
+
+    def check(
+        n: int, asked: Mapping[str, CameraFrames], clocks: Mapping[str, Clock], test: str | None = None
+    ) -> tuple[dict[str, Clock], list[Measure], dict[str, Any]]:
+        views, known = timed_pictures(ingest, asked, cameras, clocks, motion), frames.trained if test else ()
+        progress = part(context.progress, 0.4 * n / parts, 0.4 / parts)
+        return clock_check(views, asked, clocks, progress, known, contradictions.get(test))
+
+    clocks = {name: said[name] for name in frames.trained}
+    content: dict[str, Any] = {}
+    if len(clocks) > 1:
+        clocks, measured, content = check(0, frames.trained, clocks)
+        context.measures += measured
+    content = content or {"cameras": {name: clock_dict(clock) for name, clock in clocks.items()}}
+    content["tests"] = {}
+    for n, (name, camera) in enumerate(frames.tests.items()):
+        alone = {one: clocks[one] for one in frames.trained} | {name: said[name]}
+        found, measured, told = check(n + 1, frames.trained | {name: camera}, alone, name)
+        clocks[name] = found[name]
+        content["cameras"][name] = clock_dict(found[name])
+        content["tests"][name] = {key: value for key, value in told.items() if key != "cameras"}
+        context.measures += of_test(name, measured)
+    write_json(context.out / "clock_check.json", content, indent=None)
+    return clocks
 
 
 def timed_pictures(
@@ -51,11 +92,7 @@ def timed_pictures(
 
     Cameras with too few pictures in that span are left out, and those that film when the others do not.
     """
-    shown = {
-        n: [f for f in c.used if f.file is not None and f.time_s is not None]
-        for n, c in frames.items()
-        if len(c.used) >= MIN_FRAMES
-    }
+    shown = {n: c.filmed(folder) for n, c in frames.items() if len(c.used) >= MIN_FRAMES}
     times = {n: clocks[n].true_time(np.array([f.time_s for f in of])) for n, of in shown.items()}
     times = {n: times[n] for n in most_together(times, MIN_FRAMES)}
     if not times:
@@ -64,29 +101,26 @@ def timed_pictures(
     from_s, to_s = _busiest(times, {n: np.column_stack(course) for n, course in moved.items()})
     views = {}
     for name, time_s in times.items():
-        files = [folder / str(f.file) for f in shown[name]]
         inside = np.flatnonzero((time_s >= from_s) & (time_s <= to_s))
         if len(inside) >= MIN_FRAMES:
-            grey = np.stack([small(read_grey(files[i]), SIDE_PX) for i in inside])
+            grey = np.stack([small(read_grey(shown[name][i].file), SIDE_PX) for i in inside])
             views[name] = TimedPictures(cameras[name], grey, time_s[inside])
     return views
 
 
 def clock_check(
-    folder: Path,
+    views: Mapping[str, TimedPictures],
     frames: Mapping[str, CameraFrames],
-    cameras: Mapping[str, Camera],
     clocks: Mapping[str, Clock],
-    motion: Mapping[str, Float[np.ndarray, "_ 2"]],
     progress: Progress,
     known: Collection[str] = (),
     loop_s: float | None = None,
 ) -> tuple[dict[str, Clock], list[Measure], dict[str, Any]]:
     """The clocks to be used, what was measured of them, and the content of `clock_check.json`.
 
-    `known`: cameras whose clocks stand, which the others are checked against; `loop_s`: `check_clocks`.
+    `views`: `timed_pictures` by these clocks; `known`: cameras whose clocks stand, which the others are checked
+    against; `loop_s`: `check_clocks`.
     """
-    views = timed_pictures(folder, frames, cameras, clocks, motion)
     if len(views) < 2 or views.keys() <= set(known):
         asked = {n: c for n, c in clocks.items() if n not in known}
         return dict(clocks), unknown_clocks(asked, "too few pictures for geometry", frames), {}

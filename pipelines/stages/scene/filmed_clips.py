@@ -54,10 +54,9 @@ def filmed_clip(ingest: Path, camera: CameraFrames, calibrated: Camera, clock: C
         camera: Its pictures in there.
         calibrated, clock: As stages `rig` and `sync` found them, or geometry.
     """
-    used = [(ingest / f.file, f.time_s) for f in camera.used if f.file is not None and f.time_s is not None]
-    chosen = spread(used, MASK_FRAMES)
+    chosen = spread(camera.filmed(ingest), MASK_FRAMES)
     small = calibrated.scaled(min(1.0, MASK_SIDE_PX / max(calibrated.width, calibrated.height)))
     size = (small.width, small.height)
-    grey = [cv2.resize(read_grey(file), size, interpolation=cv2.INTER_AREA) for file, _ in chosen]
-    times_s = clock.true_time(np.array([time_s for _, time_s in chosen], dtype=float))
+    grey = [cv2.resize(read_grey(f.file), size, interpolation=cv2.INTER_AREA) for f in chosen]
+    times_s = clock.true_time(np.array([f.time_s for f in chosen], dtype=float))
     return FilmedClip(small, [np.asarray(g, dtype=np.uint8) for g in grey], times_s, clock.std_s)

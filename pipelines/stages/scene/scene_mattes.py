@@ -1,6 +1,5 @@
 """Mattes of a capture's pictures, by the method that scene.yaml names, and what follows from them for the scene."""
 
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from devrf.capture.mattes.chroma import parse_colour
 from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
 from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes, given_mattes
 from devrf.capture.photos.photo_folders import list_pictures
-from devrf.capture.scene import PosedFrame
+from devrf.capture.scene import PosedFrame, by_camera
 from devrf.capture.system.errors import DevrfError
 from devrf.capture.system.progress import Progress, part
 from devrf.pipelines.config.scene import MattesConfig
@@ -57,10 +56,8 @@ def scene_mattes(
     def matted(of: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:
         return tuple(replace(f, matte=matte_of.get(f.path)) for f in of)
 
-    small: dict[str, list[Camera]] = {name: [] for name in made}
-    for frame in (*static, *dynamic):
-        if frame.camera_name in small:
-            small[frame.camera_name].append(_small(frame.camera))
+    shown = by_camera((*static, *dynamic))
+    small = {name: [_small(frame.camera) for frame in shown.get(name, ())] for name in made}
     trained = clips.keys() - frames.tests.keys()
     everywhere = bool(static) and trained <= set(names)
     return SceneMattes(matted(static), matted(dynamic), made, small, everywhere)
@@ -84,11 +81,8 @@ def _clips(
     context: StageContext, frames: FrameSet, static: tuple[PosedFrame, ...], dynamic: tuple[PosedFrame, ...]
 ) -> dict[str, Clip]:
     """The scene's pictures by camera, the sweep first; photos with the names they came with."""
-    by_camera: dict[str, list[PosedFrame]] = defaultdict(list)
-    for frame in (*static, *dynamic):
-        by_camera[frame.camera_name].append(frame)
     clips = {}
-    for name, of_camera in by_camera.items():
+    for name, of_camera in by_camera((*static, *dynamic)).items():
         filmed = frames.cameras[name]
         photos = (
             None
