@@ -183,11 +183,13 @@ class Follower:
             believed: What pictures want of other points does not count; None: all count.
         """
         graph, surface, now, found = self.graph, self.surface, self.xyz[-1], expected
-        for sigmas in rounds:
-            xyz = graph.points(found)
+        for number, sigmas in enumerate(rounds):
+            xyz, again = graph.points(found), number > 0
             normals = graph.turned(found, surface.normals)
             _each(
-                self.pool.submit(shot.look, now + shot.share * (xyz - now), normals, surface, sigmas, asked)
+                self.pool.submit(
+                    shot.look, now + shot.share * (xyz - now), normals, surface, sigmas, asked, again
+                )
                 for shot in shots
             )
             for _ in range(STEPS):

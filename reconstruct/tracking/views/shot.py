@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -31,15 +32,25 @@ class _Contrast:
     weight: float
 
 
+class _Placed(NamedTuple):
+    """Where optical flow finds points in a picture, in pixels."""
+
+    points: Int[np.ndarray, " m"]
+    target: Float[np.ndarray, "m 2"]
+    weight: Float[np.ndarray, " m"]
+
+
+_NOTHING = _Placed(np.zeros(0, dtype=int), np.zeros((0, 2)), np.zeros(0))
+
+
 class Shot:
     """One picture at one moment: what it says of the points that its camera sees."""
 
     def __init__(self, camera: int, templates: Templates, n: int, share: float) -> None:
         self.camera, self.templates, self.film = camera, templates, templates.film
         self.n, self.share = n, share
-        none = np.zeros(0, dtype=int)
-        self.came: tuple[np.ndarray, np.ndarray, np.ndarray] = none, np.zeros((0, 2)), np.zeros(0)
-        self.points: Int[np.ndarray, " m"] = none
+        self.came = self.flow = _NOTHING
+        self.points: Int[np.ndarray, " m"] = _NOTHING.points
 
     def come(
         self,
@@ -55,7 +66,7 @@ class Shot:
         It goes from picture to picture. `far`: by flow that finds longer ways and is less exact. What else was known of
         the picture is forgotten.
         """
-        self.points = self.points[:0]
+        self.points, self.flow = self.points[:0], _NOTHING
         sight = Sight(self.film, xyz, normals, spacing)
         points = np.flatnonzero(sight.seen & known)
         if len(points) < FEWEST_SEEN:
@@ -66,7 +77,7 @@ class Shot:
             flow, missed = film.flow(*(film.for_flow(film.picture(k), high(k)) for k in (n, n + 1)))
             off += sampled(missed, at) ** 2
             at = at + sampled(flow, at)
-        self.came = points, at, np.exp(-off)
+        self.came = _Placed(points, at, np.exp(-off))
 
     def look(
         self,
@@ -75,10 +86,12 @@ class Shot:
         surface: Surface,
         sigmas: tuple[float, ...],
         asked: Bool[np.ndarray, " p"] | None = None,
+        again: bool = False,
     ) -> None:
         """Draw what the picture should show with points at `xyz`, and hold it against the picture.
 
-        Where only some points are asked about, what is around them is looked at, and nothing else is said.
+        `again`: they hardly moved since the last time, so what flow found then stays. Where only some points are asked
+        about, what is around them is looked at, and nothing else is said.
         """
         sight = Sight(self.film, xyz, normals, surface.spacing)
         self.points, fewest = self.templates.known(sight), FEWEST_SEEN
@@ -86,21 +99,24 @@ class Shot:
             self.points, fewest = self.points[asked[self.points]], FEWEST_ASKED
         if len(self.points) < fewest:
             self.points = self.points[:0]
+            self.flow = self.flow if again else _NOTHING
             return
         at = sight.at[self.points]
         first, cut = np.zeros(2), np.s_[:, :]
         if asked is not None:
-            self.came = self.points[:0], at[:0], np.zeros(0)
+            self.came = _NOTHING
             first = np.maximum(at.min(0) - MARGIN_PX, 0).astype(int)
             last = (at.max(0) + MARGIN_PX).astype(int)
             cut = np.s_[first[1] : last[1], first[0] : last[0]]
         film, picture = self.film, self.templates.draw(sight, surface.rgb.astype(np.float32))[cut]
         drawn, real = film.high_pass(picture), np.ascontiguousarray(film.sharp(self.n)[cut])
         self.at, inside = at, at - first
-        flow, missed = film.flow(
-            film.for_flow(picture, drawn), film.for_flow(film.picture(self.n)[cut], real)
-        )
-        self.flow = at + sampled(flow, inside), np.exp(-(sampled(missed, inside) ** 2))
+        if not again:
+            flow, missed = film.flow(
+                film.for_flow(picture, drawn), film.for_flow(film.picture(self.n)[cut], real)
+            )
+            weight = np.exp(-(sampled(missed, inside) ** 2))
+            self.flow = _Placed(self.points, at + sampled(flow, inside), weight)
         self.drawn = sampled(blurred(drawn, LIKE_PX), inside)
         self.contrasts = []
         for sigma in sigmas:
@@ -128,11 +144,9 @@ class Shot:
 
     def shown(self, xyz: np.ndarray, known: np.ndarray) -> Shown:
         """Where the picture shows `known` points that are expected at `xyz` when it is taken."""
-        mine = known[self.points]
-        points = self.points[mine]
+        points, target, weight = (values[known[self.flow.points]] for values in self.flow)
         if not len(points):
             return Shown(points, np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
-        target, weight = (values[mine] for values in self.flow)
         left = target - self.film.camera.project(xyz[points])
         weight = weight * huber_weight(np.linalg.norm(left, axis=1), HUBER_SHOWN)
         fine = np.isfinite(left).all(1)
@@ -145,13 +159,11 @@ class Shot:
 
     def pull(self, xyz: np.ndarray, pulls: Sum) -> None:
         """Add what the picture wants of points that are at `xyz` when it is taken."""
-        points, target, weight = self.came
-        if len(points):
-            pulls.add_places(self._seen(points, xyz), target, weight, HUBER_FLOW)
+        for placed, huber in ((self.came, HUBER_FLOW), (self.flow, HUBER_DRAWN)):
+            pulls.add_places(self._seen(placed.points, xyz), placed.target, placed.weight, huber)
         if not len(self.points):
             return
         seen = self._seen(self.points, xyz)
-        pulls.add_places(seen, *self.flow, HUBER_DRAWN)
         for contrast in self.contrasts:
             weight = contrast.weight * CONTRAST**2
             pulls.add_brightness(seen, contrast.apart, contrast.slope, self.at, weight, HUBER_CONTRAST)
