@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.capture.camera import Camera, LensModel, undistort
+from devrf.capture.orientation import Upright
 
 PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
@@ -49,6 +50,26 @@ class Intrinsics:
         """A camera with these intrinsics at a pose."""
         return Camera(self.width, self.height, self.K, cam_from_world, self.distortion, self.model)
 
+    def oblong(self, pixel_aspect: float = 1.0) -> float:
+        """How much the focal lengths across and down differ beyond what pixels of that width over height explain."""
+        return float(abs(np.log(self.K[1, 1] / (self.K[0, 0] * pixel_aspect))))
+
+    def turned(self, upright: Upright) -> "Intrinsics":
+        """The same device's, in pictures that were turned and mirrored so."""
+        if upright.nothing:
+            return self
+        turn, size = upright.matrix, upright.size(self.width, self.height)
+        K = np.eye(3)
+        K[[0, 1], [0, 1]] = np.abs(turn) @ self.K[[0, 1], [0, 1]]
+        K[:2, 2] = upright.points(self.K[:2, 2], self.width, self.height)
+        distortion, std = self.distortion.copy(), None if self.std is None else self.std.copy()
+        if self.model == "OPENCV":  # (p2, p1) is a direction in the picture
+            distortion[[3, 2]] = turn @ distortion[[3, 2]]
+        if std is not None:
+            for pair in ([0, 1], [2, 3], *([[7, 6]] if self.model == "OPENCV" else [])):
+                std[pair] = np.abs(turn) @ std[pair]
+        return Intrinsics(*size, K, distortion, std, self.model)
+
     def undistorted(self, xy: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Where a pinhole camera with the same K would have seen pixels [n, 2]; for solvers that know no lenses."""
         x = (xy - self.K[:2, 2]) / np.diag(self.K)[:2]
@@ -68,7 +89,14 @@ def from_vector(
     return Intrinsics(width, height, K, np.array(vector[4:], dtype=np.float64), std, model)
 
 
-def guess(width: int, height: int, focal_px: float | None = None) -> Intrinsics:
-    """A start without calibration: centred, undistorted, focal 1.2 x the longer side (COLMAP's guess)."""
-    f = focal_px or 1.2 * max(width, height)
-    return from_vector(width, height, np.array([f, f, width / 2, height / 2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+def guess(width: int, height: int, focal_px: float | None = None, pixel_aspect: float = 1.0) -> Intrinsics:
+    """A start without calibration: centred, undistorted, focal 1.2 x the longer side (COLMAP's guess).
+
+    Args:
+        width, height: Picture size, pixels.
+        focal_px: Focal length, in widths of a pixel.
+        pixel_aspect: Width of a pixel over its height.
+    """
+    fx = focal_px or 1.2 * max(width, height / pixel_aspect)
+    lens = [fx, pixel_aspect * fx, width / 2, height / 2, 0.0, 0.0, 0.0, 0.0, 0.0]
+    return from_vector(width, height, np.array(lens))

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from devrf.capture.exif import Exif, exif_from_dict
 from devrf.capture.measure import Measure
+from devrf.capture.orientation import Upright, by_exif
 from devrf.capture.system.errors import CaptureError
 
 Role = Literal["sweep", "camera", "test", "board", "joint"]
@@ -44,6 +45,9 @@ class FrameRecord:
         file: Picture on disk, relative to the ingest folder; None where it was not kept.
         exif: What a photo's tags say of device, lens and place; None for frames of a video.
         photo: A photo's name in its folder; None for frames of a video.
+        orientation: EXIF's number of how a photo was made upright, as its camera's others were; None for frames of a
+            video.
+        own_orientation: The number that its own tag says.
     """
 
     index: int
@@ -53,6 +57,15 @@ class FrameRecord:
     file: str | None
     exif: Exif | None = None
     photo: str | None = None
+    orientation: int | None = None
+    own_orientation: int | None = None
+
+    @property
+    def re_turned(self) -> Upright:
+        """From the picture as its own tag makes it upright to the one that is used."""
+        if self.orientation is None or self.own_orientation is None:
+            return Upright()
+        return by_exif(self.own_orientation).inverse.then(by_exif(self.orientation))
 
     @property
     def place(self) -> str:
@@ -74,7 +87,7 @@ class CameraFrames:
         variable_rate: Whether the steps between timestamps differ.
         has_audio: Whether there is a sound track with something to hear.
         exif_focal_px: Focal length by EXIF, pixels, or None.
-        rotation_deg: Turn that was applied, degrees counter-clockwise.
+        rotation_deg: Turn that was applied, degrees counter-clockwise; of photos to those of this size.
         frames: Every frame, used or not.
         level: Median brightness over the clip, 0 to 255 (sRGB).
         audio_start_s: File time of the first sample of its sound, or None.
@@ -84,6 +97,8 @@ class CameraFrames:
         missing_frames: Frames that its timestamps say were dropped.
         ended_early: Where a damaged or truncated file ended, in words; None for a whole one.
         announced_frames: Frames the file announces, or None.
+        mirrored: Whether columns were exchanged, left and right, before the turn.
+        pixel_aspect: Width of a pixel over its height, as the file says.
         notes: What is unusual, one sentence each.
         faults: What is suspicious.
     """
@@ -106,8 +121,15 @@ class CameraFrames:
     missing_frames: int = 0
     ended_early: str | None = None
     announced_frames: int | None = None
+    mirrored: bool = False
+    pixel_aspect: float = 1.0
     notes: tuple[str, ...] = ()
     faults: tuple[Measure, ...] = ()
+
+    @property
+    def upright(self) -> Upright:
+        """How its pictures were made upright."""
+        return Upright(self.rotation_deg // 90 % 4, self.mirrored)
 
     @property
     def used(self) -> tuple[FrameRecord, ...]:

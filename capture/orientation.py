@@ -1,11 +1,15 @@
-"""How a stored picture is turned and mirrored into the one to be seen: by EXIF, or by a clip's display matrix."""
+"""How a stored picture is turned and mirrored into the one to be seen: by EXIF, or by a clip's display matrix.
+
+A lens belongs to the stored picture: pictures of one camera that were made upright in two ways have two lenses, each of
+them the other turned. `Upright.matrix` and `Upright.points` are the one rule for all that lies in a picture.
+"""
 
 from dataclasses import dataclass
 from math import atan2, pi
 
 import cv2
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 
 ROTATIONS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
 EXIF_QUARTERS = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}
@@ -40,8 +44,35 @@ class Upright:
         parts = ["mirrored"] * self.mirrored + [f"turned by {self.degrees} degrees"] * bool(self.quarters)
         return " and ".join(parts)
 
+    @property
+    def orientation(self) -> int:
+        """EXIF's number for it, 1 to 8."""
+        return next(n for n in range(1, 9) if by_exif(n) == self)
+
+    @property
+    def inverse(self) -> "Upright":
+        """What makes the stored picture of the upright one."""
+        return self if self.mirrored else Upright(-self.quarters % 4)
+
+    def then(self, after: "Upright") -> "Upright":
+        """This, and then `after`, as one."""
+        own = -self.quarters if after.mirrored else self.quarters
+        return Upright((own + after.quarters) % 4, self.mirrored != after.mirrored)
+
+    @property
+    def matrix(self) -> Float[np.ndarray, "2 2"]:
+        """What it does to directions in the picture (right, down)."""
+        turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), self.quarters)
+        return (turn @ np.diag([-1, 1]) if self.mirrored else turn).astype(np.float64)
+
+    def points(
+        self, xy: Float[np.ndarray, "*batch 2"], width: int, height: int
+    ) -> Float[np.ndarray, "*batch 2"]:
+        """Where pixels [..., 2] of a stored picture of this size are in the upright one."""
+        return (xy - np.array([width, height]) / 2) @ self.matrix.T + np.array(self.size(width, height)) / 2
+
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of the upright picture."""
+        """Width and height of the upright picture; of the stored one, given those of the upright."""
         return (height, width) if self.quarters % 2 else (width, height)
 
     def apply(self, picture: Shaped[np.ndarray, "h w *channels"]) -> Shaped[np.ndarray, "h2 w2 *channels"]:

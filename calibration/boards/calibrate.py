@@ -160,6 +160,7 @@ def calibrate_intrinsics(
     size: tuple[int, int],
     lens: LensChoice = "auto",
     terms: Terms | None = None,
+    pixel_aspect: float = 1.0,
 ) -> BoardCalibration:
     """Calibrate one camera.
 
@@ -170,9 +171,15 @@ def calibrate_intrinsics(
         size: Picture (width, height), pixels.
         lens: Which lens model; auto takes what fits better, a fisheye only where the view is wide.
         terms: What of the lens to fit, instead of what the views support.
+        pixel_aspect: Width of a pixel over its height. All is fitted in square pixels of the same height; only the
+            intrinsics are in the picture's own.
     Raises:
         HealthError: Too few views.
     """
+    if pixel_aspect != 1:
+        wide = [replace(view, xy=view.xy * [pixel_aspect, 1.0]) for view in views]
+        found = calibrate_intrinsics(name, wide, spec, (round(size[0] * pixel_aspect), size[1]), lens, terms)
+        return replace(found, intrinsics=_narrowed(found.intrinsics, size, pixel_aspect))
     sharp, blurred = _sharp_views(views)
     if len(sharp) < MIN_VIEWS:
         text = f"camera '{name}': the board is seen in {len(views)} pictures, need {MIN_VIEWS} (20 are good)"
@@ -219,6 +226,12 @@ class _Choice:
     fit: Fit
     terms: Terms
     start_rms_px: tuple[float, float]
+
+
+def _narrowed(k: Intrinsics, size: tuple[int, int], pixel_aspect: float) -> Intrinsics:
+    """Intrinsics of square pixels in pixels that are wider by `pixel_aspect`."""
+    std = None if k.std is None else k.std / [pixel_aspect, 1, pixel_aspect, 1, 1, 1, 1, 1, 1]
+    return Intrinsics(*size, np.diag([1 / pixel_aspect, 1, 1]) @ k.K, k.distortion, std, k.model)
 
 
 def _sharp_views(views: list[BoardView]) -> tuple[list[BoardView], tuple[int, ...]]:

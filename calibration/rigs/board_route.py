@@ -72,12 +72,12 @@ class BoardRig:
         return dict(zip(self.views.names, timing.delay_s.tolist(), strict=True))
 
 
-def weak_intrinsics(own: Intrinsics) -> Intrinsics:
+def weak_intrinsics(own: Intrinsics, pixel_aspect: float = 1.0) -> Intrinsics:
     """What is known of a camera whose only calibration are the joint views themselves: that it is a camera.
 
-    The focal length is free, pixels are square, the principal point lies near the centre.
+    The focal length is free, pixels are as wide as the file says, the principal point lies near the centre.
     """
-    vector = np.array([own.K[0, 0], own.K[0, 0], own.width / 2, own.height / 2, *np.zeros(5)])
+    vector = np.array([own.K[0, 0], pixel_aspect * own.K[0, 0], own.width / 2, own.height / 2, *np.zeros(5)])
     weak = PRINCIPAL_POINT_STD * max(own.width, own.height)
     std = np.array([np.inf, np.inf, weak, weak, *DISTORTION_STD])
     if own.model == "OPENCV_FISHEYE":

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from devrf.calibration.formats.opencv import is_json as is_opencv_json
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, read_rig
 from devrf.capture.measure import Measure, noted
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import natural_key
 from devrf.capture.system.errors import InputError
 
@@ -26,10 +29,21 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 LARGEST_RIG_M = 50.0
 # A principal point farther off the middle belongs to another picture size (of a size unsaid).
 CENTRE_SHARE = 0.25
+SAME_ASPECT = 0.01  # relative; sizes of pictures with square pixels are rounded
 LEAST_FOCAL, MOST_FOCAL = 0.02, 1000.0  # of the longer side: beyond any fisheye, and a telescope's
 FARTHEST_CENTRE = 2.0  # of a principal point from the middle, in pictures; lenses that shift have half of one
 MOST_DISTORTION = 1e6  # long lenses have coefficients of hundreds
 FARTHEST = 1e9  # of the world's origin from a camera: a thousand kilometres in millimetres
+
+
+@runtime_checkable
+class Filmed(Protocol):
+    """What a clip says of its pictures beside their size: how they were made upright, and how wide a pixel is."""
+
+    @property
+    def upright(self) -> Upright: ...
+    @property
+    def pixel_aspect(self) -> float: ...
 
 
 @dataclass(frozen=True)
@@ -55,6 +69,7 @@ def read_given(
     sizes: Mapping[str, tuple[int, int]],
     unit: str | None = None,
     known_distance_m: float | None = None,
+    clips: Mapping[str, Filmed] = MappingProxyType({}),
 ) -> Given:
     """Read a calibration in any known format (`devrf.calibration.formats`), or our own rig.json.
 
@@ -64,6 +79,7 @@ def read_given(
         sizes: Picture sizes of their clips, pixels.
         unit: Unit of the file's lengths (m, cm, mm), where its owner knows better than the format.
         known_distance_m: Between the first two cameras: gives metres where the file has none.
+        clips: What else the clips say of their pictures; those that are missing are upright as stored, pixels square.
     Raises:
         InputError: Another format, a camera that is missing, or a calibration for other pictures.
         CaptureError: A damaged COLMAP model.
@@ -78,9 +94,9 @@ def read_given(
     notes += assumed
     fitted: dict[str, FoundCamera] = {}
     for name in names:
-        fitted[name], text = _fitted(name, found.cameras[chosen[name]], sizes[name], where)
+        fitted[name], said = _fitted(name, found.cameras[chosen[name]], sizes[name], clips.get(name), where)
         _check_plausible(name, fitted[name], sizes[name], where)
-        notes += noted([text] if text else [], name)
+        notes += said
     intrinsics = {
         name: Intrinsics(*sizes[name], c.K, c.distortion, None, c.model) for name, c in fitted.items()
     }
@@ -161,28 +177,89 @@ def _pairs(chosen: Mapping[str, str]) -> str:
     return ", ".join(f"{ours}: {theirs}" for ours, theirs in chosen.items())
 
 
-def _fitted(name: str, camera: FoundCamera, size: tuple[int, int], where: str) -> tuple[FoundCamera, str]:
-    """A camera at the size of its clip, and what was assumed for it."""
+def _fitted(
+    name: str, camera: FoundCamera, size: tuple[int, int], clip: Filmed | None, where: str
+) -> tuple[FoundCamera, list[Measure]]:
+    """A camera as its clip's pictures show it, and what was assumed for it.
+
+    The clip's pictures are upright. A calibration whose size fits only those that are stored is of these, and is
+    turned; one that fits only pictures with square pixels is of these.
+    """
+    upright, aspect = (Upright(), 1.0) if clip is None else (clip.upright, clip.pixel_aspect)
+    stored = upright.size(*size)
     if camera.size is None:
-        off = np.abs(camera.K[:2, 2] / size - 0.5)
-        if off.max() > CENTRE_SHARE:
-            at, clip = f"{camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}", f"{size[0]}x{size[1]}"
-            wrong = f"{where}: camera '{name}' has its principal point at {at}, its clip is {clip}"
+        if _off_middle(camera, size) <= CENTRE_SHARE:
+            text = f"the file has no picture size; taken as the clip's, {size[0]}x{size[1]}"
+            fitted, said = replace(camera, size=size), noted([text], name)
+            return fitted, said + _doubt_turn(name, upright)
+        if stored == size or _off_middle(camera, stored) > CENTRE_SHARE:
+            at, films = f"{camera.K[0, 2]:.0f}, {camera.K[1, 2]:.0f}", f"{size[0]}x{size[1]}"
+            wrong = f"{where}: camera '{name}' has its principal point at {at}, its clip is {films}"
             remedy = "expected it near the middle; calibrate at the size of the clip"
             raise InputError("principal-point-outside", f"{wrong}; {remedy}")
-        text = f"the file has no picture size; taken as the clip's, {size[0]}x{size[1]}"
-        return replace(camera, size=size), text
+        camera = replace(camera, size=stored)
+    if _same_shape(camera.size, size) or _same_shape(camera.size, size, aspect):
+        fitted, said = _resized(name, camera, size)
+        return fitted, said + _doubt_turn(name, upright)
+    if _same_shape(camera.size, stored) or _same_shape(camera.size, stored, 1 / aspect):
+        fitted, said = _resized(name, camera, stored)
+        text = f"calibrated on pictures as they are stored, {upright.words} as the clip's are"
+        return _turned(name, fitted, upright, where), said + noted([text], name)
     (width, height), (clip_width, clip_height) = camera.size, size
+    wrong = (
+        f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
+    )
+    why = "a cropped clip needs a calibration of its own"
+    if _same_shape(camera.size, size[::-1]):
+        why = "one is turned, and the clip does not say how: calibrate on pictures turned like the clip's"
+    expected = "expected the same size, or all of the picture made larger or smaller"
+    raise InputError("picture-size-wrong", f"{wrong}; {expected}; {why}")
+
+
+def _off_middle(camera: FoundCamera, size: tuple[int, int]) -> float:
+    return float(np.abs(camera.K[:2, 2] / size - 0.5).max())
+
+
+def _same_shape(own: tuple[int, int], size: tuple[int, int], pixel_aspect: float = 1.0) -> bool:
+    """Whether a picture is another one made larger or smaller; with square pixels where the other has none."""
+    if pixel_aspect == 1:
+        return own[0] * size[1] == own[1] * size[0]
+    return abs(own[0] * size[1] / (own[1] * size[0] * pixel_aspect) - 1) < SAME_ASPECT
+
+
+def _resized(name: str, camera: FoundCamera, size: tuple[int, int]) -> tuple[FoundCamera, list[Measure]]:
+    assert camera.size is not None
     if camera.size == size:
-        return camera, ""
-    if width * clip_height != height * clip_width:
-        wrong = f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
-        expected = "expected the same size, or all of the picture made larger or smaller"
-        why = f"{wrong}; {expected}; a cropped clip needs a calibration of its own"
-        raise InputError("picture-size-wrong", why)
-    scale = clip_width / width
-    text = f"calibrated at {width}x{height}, scaled by {scale:g} to the clip's {clip_width}x{clip_height}"
-    return replace(camera, K=np.diag([scale, scale, 1.0]) @ camera.K, size=size), text
+        return camera, []
+    across, down = size[0] / camera.size[0], size[1] / camera.size[1]
+    by = f"{across:g}" if abs(across - down) < 1e-6 else f"{across:g} and {down:g}"
+    text = (
+        f"calibrated at {camera.size[0]}x{camera.size[1]}, scaled by {by} to the clip's {size[0]}x{size[1]}"
+    )
+    return replace(camera, K=np.diag([across, down, 1.0]) @ camera.K, size=size), noted([text], name)
+
+
+def _turned(name: str, camera: FoundCamera, upright: Upright, where: str) -> FoundCamera:
+    """A camera of stored pictures as one of upright pictures: lens and pose."""
+    assert camera.size is not None
+    lens = Intrinsics(*camera.size, camera.K, camera.distortion, None, camera.model).turned(upright)
+    pose = camera.cam_from_world
+    if pose is not None:
+        if upright.mirrored:
+            wrong = f"{where}: camera '{name}' is calibrated on pictures that its clip says are mirrored"
+            raise InputError("picture-mirrored", f"{wrong}; calibrate on pictures as they are seen")
+        turn = np.eye(3)
+        turn[:2, :2] = upright.matrix
+        pose = turn @ pose
+    return FoundCamera(lens.K, lens.distortion, lens.model, (lens.width, lens.height), pose)
+
+
+def _doubt_turn(name: str, upright: Upright) -> list[Measure]:
+    """Of a clip whose turn leaves its size, nothing tells whether a calibration is of its pictures before or after."""
+    if upright.nothing or upright.quarters % 2:
+        return []
+    text = f"of upright pictures; the clip's are {upright.words} as its file says"
+    return [Measure("given-assumed", text, name, "turned")]
 
 
 def _scale(

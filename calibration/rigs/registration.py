@@ -157,7 +157,8 @@ def refine(
 
 
 def weak_prior(start: Intrinsics, matches: int) -> Intrinsics:
-    """What is known of a camera without calibration: one free focal length, a small k1, a centred picture.
+    """What is known of a camera without calibration: one free focal length (fy keeps its ratio to fx), a small k1, a
+    centred picture.
 
     With many matches the principal point may leave the centre by a percent or so and k2 may bend.
     """
@@ -212,7 +213,7 @@ def _ransac(
     if not known:
         for focal in FOCALS * longest:
             vector = start.vector
-            vector[:2] = focal
+            vector[:2] *= focal / vector[0]
             tries.append(from_vector(start.width, start.height, vector))
     best: tuple[float, Float[np.ndarray, "3 4"] | None, Intrinsics, Bool[np.ndarray, " n"]]
     best = (0.0, None, start, np.zeros(len(xy), dtype=bool))

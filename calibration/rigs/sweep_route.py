@@ -41,6 +41,7 @@ class FixedCameraInput:
         pictures: Clean pictures of it; tried in this order, the one that registers best is used.
         width, height: Their size.
         intrinsics: Board calibration with standard deviations, or None.
+        pixel_aspect: Width of a pixel over its height.
     """
 
     name: str
@@ -48,11 +49,12 @@ class FixedCameraInput:
     width: int
     height: int
     intrinsics: Intrinsics | None
+    pixel_aspect: float = 1.0
 
     @property
     def like(self) -> Intrinsics:
         """The calibration, or a guess in its place."""
-        return self.intrinsics or guess(self.width, self.height)
+        return self.intrinsics or guess(self.width, self.height, None, self.pixel_aspect)
 
     @property
     def intrinsics_source(self) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.system.errors import InputError
 
@@ -19,7 +20,11 @@ LISTED = 4
 
 
 def prepare_masks(
-    folder: Path, pictures: Mapping[str, str], sizes: Mapping[str, tuple[int, int]], out: Path
+    folder: Path,
+    pictures: Mapping[str, str],
+    sizes: Mapping[str, tuple[int, int]],
+    out: Path,
+    turns: Mapping[str, Upright] | None = None,
 ) -> list[str]:
     """Write every picture's mask, what is ignored grown a little, where COLMAP looks for it.
 
@@ -28,6 +33,7 @@ def prepare_masks(
         pictures: Name of each picture (relative to the picture folder) -> what it was called when filmed.
         sizes: (width, height) of each picture.
         out: Folder for COLMAP's masks.
+        turns: From each picture as its own tag makes it upright to the one that is used; None: they are the same.
     Returns:
         Pictures without a mask; all of them is used.
     Raises:
@@ -43,6 +49,9 @@ def prepare_masks(
             without.append(name)
             continue
         keep = read_pixels(file)[:, :, :3].max(axis=2) >= BLACK_BELOW
+        turn = (turns or {}).get(name, Upright())
+        if keep.shape[::-1] == turn.size(*sizes[name]):
+            keep = turn.apply(keep.astype(np.uint8)).astype(bool)
         if keep.shape[::-1] != sizes[name]:
             size, want = "x".join(map(str, keep.shape[::-1])), "x".join(map(str, sizes[name]))
             text = f"{file}: {size}, the picture {original} is {want} (upright); save it at that size"

@@ -8,6 +8,7 @@ from devrf.capture.frames import Role, some
 from devrf.capture.ingest.clip_faults import LOOK_EVERY_S, Levels, Repeats, Tripod
 from devrf.capture.ingest.signals import CourseMeter
 from devrf.capture.measure import Measure
+from devrf.capture.projection import ENOUGH, SIDE_PX, Picture, projection_faults, projection_of
 from devrf.capture.video.reader import VideoFrame, VideoInfo
 
 FIXED: tuple[Role, ...] = ("camera", "test", "joint")  # on a tripod
@@ -26,6 +27,7 @@ class Seen:
         self._range = Levels()
         self._tripod = Tripod() if role in FIXED else None
         self._look_at_s = -np.inf
+        self._pictures: list[Picture] = []
 
     def add(self, frame: VideoFrame, time_s: float, grey: UInt8[np.ndarray, "h w"]) -> None:
         """Look at a frame; `grey` is its `stored_grey`."""
@@ -38,6 +40,8 @@ class Seen:
             return
         self._look_at_s = time_s + LOOK_EVERY_S
         self._range.add(frame.picture)
+        if len(self._pictures) < ENOUGH:
+            self._pictures.append(frame.upright.apply(frame.stored_rgb(SIDE_PX)))
         if self._clipped is not None:
             self._clipped.append(clipped_share(frame.stored_rgb(SMALL_SIDE_PX)))
         if self._tripod is not None:
@@ -48,9 +52,10 @@ class Seen:
         start, end = self.courses.empty()
         return self._indices[:start] + self._indices[len(self._indices) - end :]
 
-    def faults(self) -> list[Measure]:
-        """What is suspicious, apart from frames that repeat others."""
-        found = [*self._range.faults(), *highlight_faults(self._clipped or [])]
+    def faults(self, info: VideoInfo) -> list[Measure]:
+        """What is suspicious, apart from frames that repeat others; by what the file says, too."""
+        found = [*projection_faults(projection_of([info.projection], self._pictures)), *self._range.faults()]
+        found += highlight_faults(self._clipped or [])
         return [*found, *(self._tripod.faults() if self._tripod else ())]
 
 

@@ -155,7 +155,7 @@ def extract_clip(
     notes = [*info.notes, *told.notes, *unused.notes(len(records)), *empty_note(*seen.courses.empty())]
     if true_time is not None and max(true_time) >= count:
         notes.append(f"the table of times names frame {max(true_time)}, the clip has {count}")
-    faults = [*unused.faults(), *seen.faults(), *bit_rate_fault(info, packets.count, packets.size_bytes)]
+    faults = [*unused.faults(), *seen.faults(info), *bit_rate_fault(info, packets.count, packets.size_bytes)]
     if times is not None:
         faults += table_faults(table_factor(times, file_s))
     if repeated:
@@ -170,11 +170,13 @@ def extract_clip(
         has_audio=False,
         exif_focal_px=None,
         rotation_deg=info.upright.degrees,
+        mirrored=info.upright.mirrored,
         frames=tuple(records[index] for index in sorted(records)),
         level=float(np.median(seen.courses.levels)),
         missing_frames=told.missing_frames,
         ended_early=reader.ended_early,
         announced_frames=info.announced_frames,
+        pixel_aspect=info.pixel_aspect,
         notes=tuple(notes),
         faults=tuple(faults),
     )

@@ -12,10 +12,12 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.ingest.empty_ends import EMPTY_LEVELS
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.photo_folders import CARD_FOLDER, UNREAD_KINDS, list_pictures
 from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.photos.raw import RAW_SUFFIXES
-from devrf.capture.photos.upright_pictures import probe_picture, read_picture
+from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
+from devrf.capture.projection import Projection, projection_of
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.spread import spread
 from devrf.capture.video.reader import probe_video
@@ -41,6 +43,7 @@ DEEPEST = 3  # folders in folders that are looked into
 MOST_SIDE_PX = 1280  # of sampled pictures: boards and backgrounds are found at it, large clips stay in memory
 BLACK_LEVEL = 10.0  # of 255: brighter than a lens cap, darker than a dim room
 END_PICTURES = 4  # successive ones, at the start or the end of a clip, ...
+AS_STORED = Upright()
 LONGER_END = 24  # ... looked for among so many where some show nothing
 
 
@@ -77,6 +80,8 @@ class Look:
         notes: What is unusual, one sentence each.
         times_s: Times of a clip's pictures [n].
         pictures: Some pictures, spread evenly, of one size, at most `MOST_SIDE_PX` [h, w, 3].
+        projection: What is said of them, or seen, that no lens makes; None: nothing.
+        upright, pixel_aspect: Of a clip, as of `VideoInfo`.
     """
 
     path: Path
@@ -89,6 +94,9 @@ class Look:
     notes: tuple[str, ...]
     times_s: Float[np.ndarray, " n"]
     pictures: tuple[UInt8[np.ndarray, "h w 3"], ...]
+    projection: Projection | None = None
+    upright: Upright = AS_STORED
+    pixel_aspect: float = 1.0
 
     @property
     def greys(self) -> list[UInt8[np.ndarray, "h w"]]:
@@ -156,26 +164,29 @@ def _look_at_clip(path: Path, count: int) -> Look:
     if not pictures:
         text = f"{path}: none of its pictures decodes at {len(times)} times; record or copy it again"
         raise CaptureError("video-unreadable", text)
-    size = info.width, info.height
-    return Look(path, True, *size, len(times), info.has_audio, "", info.notes, times, pictures)
+    size, kind = (info.width, info.height), projection_of([info.projection], pictures)
+    shown = (times, pictures, kind, info.upright, info.pixel_aspect)
+    return Look(path, True, *size, len(times), info.has_audio, "", info.notes, *shown)
 
 
 def _look_at_photos(folder: Path, count: int) -> Look:
     photos = list_pictures(folder)
     chosen = spread(photos, count)
-    read = [_size_and_small(photo) for photo in chosen]
+    headers = [probe_picture(photo) for photo in chosen]
+    turns = shared_turns(headers)
+    read = [_size_and_small(photo, turn) for photo, turn in zip(chosen, turns, strict=True)]
     sizes = [own for own, _ in read]
     size = max(dict.fromkeys(sizes), key=sizes.count)
     pictures = tuple(picture for own, picture in read if own == size)
     notes = (f"photos of {len(set(sizes))} sizes",) if len(set(sizes)) > 1 else ()
-    exif = probe_picture(chosen[0]).exif
+    exif, kind = headers[0].exif, projection_of([header.projection for header in headers], pictures)
     device = "" if exif is None else exif.device
-    return Look(folder, False, *size, len(photos), False, device, notes, np.zeros(0), pictures)
+    return Look(folder, False, *size, len(photos), False, device, notes, np.zeros(0), pictures, kind)
 
 
-def _size_and_small(photo: Path) -> tuple[tuple[int, int], Picture]:
+def _size_and_small(photo: Path, upright: Upright) -> tuple[tuple[int, int], Picture]:
     """A photo's width and height, and itself made small: one large photo is in memory at a time."""
-    picture = read_picture(photo)[:, :, :3]
+    picture = read_picture(photo, upright)[:, :, :3]
     return (picture.shape[1], picture.shape[0]), small(picture)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from devrf.capture.frames import some
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, read_pixels
 from devrf.capture.system.errors import CaptureError, InputError
 from devrf.capture.system.spread import spread
@@ -22,6 +23,7 @@ SAME_SHAPE = 0.01  # relative difference of the sides' ratio: the same picture a
 LOOKED_AT = 12  # mattes of a camera, for whether white and black are swapped
 BORDER = 0.02  # of the shorter side
 WHITE_AROUND = 0.8  # of the border: no subject fills so much of it and leaves the middle darker
+AS_IT_IS = Upright()
 LISTED = 4
 SWEEP = "static"
 
@@ -89,23 +91,37 @@ def find_mattes(folder: Path, names: Mapping[int, str | None]) -> list[Path]:
     return [file for file in found if file is not None]
 
 
-def read_given(file: Path, width: int, height: int, inverted: bool) -> UInt8[np.ndarray, "h w"]:
+def read_given(
+    file: Path, width: int, height: int, inverted: bool, turn: Upright = AS_IT_IS
+) -> UInt8[np.ndarray, "h w"]:
     """A matte at its picture's size.
 
+    Args:
+        file: The matte.
+        width, height: Of its picture.
+        inverted: Whether it shows the subject black.
+        turn: From the picture as its own tag makes it upright to the one that is used.
     Raises:
         CaptureError: It cannot be read, or has another shape than its picture.
     """
     matte = _opacity(file)
     if inverted:
         matte = 255 - matte
+    if _same_shape(matte.shape[::-1], turn.size(width, height)):
+        matte = turn.apply(matte)
     h, w = matte.shape
     if (w, h) == (width, height):
         return matte
-    if abs(w * height - h * width) > SAME_SHAPE * h * width:
+    if not _same_shape((w, h), (width, height)):
         wrong = f"{file}: matte is {w}x{h}, its picture {width}x{height} (upright)"
         remedy = "make it from the picture as it was filmed, not cropped or turned"
         raise CaptureError("matte-size-wrong", f"{wrong}; {remedy}")
     return cv2.resize(matte, (width, height), interpolation=cv2.INTER_AREA if w > width else cv2.INTER_LINEAR)
+
+
+def _same_shape(one: tuple[int, ...], other: tuple[int, ...]) -> bool:
+    (w, h), (width, height) = one, other
+    return abs(w * height - h * width) <= SAME_SHAPE * h * width
 
 
 def is_inverted(files: Sequence[Path]) -> bool:

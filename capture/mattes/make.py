@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from devrf.capture.mattes.chroma import chroma_matte, find_key, is_screen_hue
-from devrf.capture.mattes.given import find_mattes, is_inverted, read_given
+from devrf.capture.mattes.given import AS_IT_IS, find_mattes, is_inverted, read_given
 from devrf.capture.mattes.matte_facts import MatteFacts, measure
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.system.cores import usable_cores
 from devrf.capture.system.progress import Progress, no_progress
@@ -27,12 +28,14 @@ class Clip:
         files: The pictures, in order.
         names: Number of each frame, in the same order -> what the photo was called; None for a film.
         small_sizes: (width, height) of each picture's `MatteFacts.small`.
+        turns: Of each picture, from what its own tag makes upright to what is used; empty: none.
     """
 
     camera: str
     files: tuple[Path, ...]
     names: Mapping[int, str | None]
     small_sizes: tuple[tuple[int, int], ...]
+    turns: tuple[Upright, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,8 @@ def given_mattes(
     swapped = is_inverted(found) if inverted is None else inverted
 
     def source(n: int, picture: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w"]:
-        return read_given(found[n], picture.shape[1], picture.shape[0], swapped)
+        turn = clip.turns[n] if clip.turns else AS_IT_IS
+        return read_given(found[n], picture.shape[1], picture.shape[0], swapped, turn)
 
     files, facts = _write(clip, source, out, progress)
     return CameraMattes(files, facts, inverted=swapped and inverted is None)

@@ -16,13 +16,23 @@ from devrf.capture.frames import (
     grey_small,
     sharpest_per_window,
     sharpness,
+    shrunk,
     some,
 )
 from devrf.capture.measure import Measure
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.photo_folders import list_pictures, numbering, unread_faults
 from devrf.capture.photos.raw import WhiteBalance, is_raw
 from devrf.capture.photos.raw_set import develop_set
-from devrf.capture.photos.upright_pictures import copy_upright, probe_picture, read_picture
+from devrf.capture.photos.upright_pictures import copy_upright, probe_picture, read_picture, shared_turns
+from devrf.capture.projection import (
+    ENOUGH,
+    SIDE_PX,
+    Picture,
+    Projection,
+    projection_faults,
+    projection_of,
+)
 from devrf.capture.system.progress import Progress, no_progress
 
 FEWEST_OF_A_SIZE = 5  # photos of a sweep; fewer leave their focal length to chance
@@ -41,10 +51,12 @@ class _Photo:
         size: Width and height, upright, pixels.
         sharpness: As of frames.
         level: Median brightness, 0 to 255.
-        turned: Whether EXIF asked for a turn.
+        upright: How it was turned; own: what its tag asks for.
         exif: Its tags, or None.
         gamma: Of its curve, where the file names one.
         clipped: Share at white; None of RAW photos, whose sidecar has it.
+        small: The picture, small; of RAW photos None.
+        projection: As of `PictureInfo`.
     """
 
     name: str
@@ -52,10 +64,13 @@ class _Photo:
     size: Size
     sharpness: float
     level: float
-    turned: bool = False
+    upright: Upright
+    own: Upright
     exif: Exif | None = None
     gamma: float | None = None
     clipped: float | None = None
+    small: Picture | None = None
+    projection: Projection | None = None
 
 
 def extract_folder(
@@ -71,8 +86,9 @@ def extract_folder(
 ) -> CameraFrames:
     """Put a folder of photos upright into `out/frames/<name>`; see `clips.extract_clip` for the arguments.
 
-    Photos of another size than most of them are not used, because one set of intrinsics must fit all; in a
-    sweep, a size of which there are enough photos to fix its intrinsics is a camera of its own.
+    Photos of one camera are turned alike, as most of them ask for. Those of another size than most are not used,
+    because one set of intrinsics must fit all; in a sweep, a size of which there are enough photos to fix its
+    intrinsics is a camera of its own.
 
     Raises:
         InputError: If the folder or a photo cannot be read.
@@ -92,9 +108,14 @@ def extract_folder(
         if not used:
             (out / photo.file).unlink()
         kept = photo.file if used else None
-        records.append(FrameRecord(i, None, photo.sharpness, used, kept, photo.exif, photo.name))
+        turns = (photo.upright.orientation, photo.own.orientation)
+        records.append(FrameRecord(i, None, photo.sharpness, used, kept, photo.exif, photo.name, *turns))
     focals = [p.exif.focal_px for p in photos if p.exif is not None and p.exif.focal_px is not None]
-    faults = [*unread_faults(path), *_curve_fault(photos)]
+    main = [photo for photo in photos if photo.size == size]
+    kind = projection_of(
+        (p.projection for p in main), [p.small for p in main if p.small is not None][:ENOUGH]
+    )
+    faults = [*projection_faults(kind), *unread_faults(path), *_curve_fault(photos)]
     if role == "sweep":  # a board is white paper
         faults += highlight_faults([photo.clipped for photo in photos if photo.clipped is not None])
     return CameraFrames(
@@ -106,7 +127,8 @@ def extract_folder(
         variable_rate=False,
         has_audio=False,
         exif_focal_px=float(np.median(focals)) if focals else None,
-        rotation_deg=0,
+        rotation_deg=main[0].upright.degrees,
+        mirrored=main[0].upright.mirrored,
         frames=tuple(records),
         level=float(np.median([photo.level for photo in photos])),
         notes=(*numbering(pictures), *_notes(photos, counts, taken)),
@@ -123,6 +145,8 @@ def _put(
     workers: int | None,
 ) -> Iterator[_Photo]:
     """Write each photo to the ingest folder."""
+    infos = [probe_picture(picture) for picture in pictures]
+    turns = shared_turns(infos)
     raws = [(i, picture) for i, picture in enumerate(pictures) if is_raw(picture)]
     developed = develop_set(raws, out, name, white_balance, progress, workers) if raws else {}
     for i, picture in enumerate(pictures):
@@ -131,10 +155,12 @@ def _put(
             photo = developed[i]
             size, grey = (photo.width, photo.height), photo.grey
             level = float(np.median(grey))
-            yield _Photo(picture.name, photo.file, size, sharpness(grey), level)
+            yield _Photo(
+                picture.name, photo.file, size, sharpness(grey), level, photo.upright, infos[i].upright
+            )
             continue
-        info, rgb = probe_picture(picture), read_picture(picture)
-        file = f"frames/{name}/{copy_upright(info, out / 'frames' / name, f'{i:06d}')}"
+        info, rgb = infos[i], read_picture(picture, turns[i])
+        file = f"frames/{name}/{copy_upright(info, turns[i], out / 'frames' / name, f'{i:06d}')}"
         grey = grey_small(rgb)
         yield _Photo(
             name=picture.name,
@@ -142,18 +168,27 @@ def _put(
             size=(rgb.shape[1], rgb.shape[0]),
             sharpness=sharpness(grey),
             level=float(np.median(grey)),
-            turned=info.turned,
+            upright=turns[i],
+            own=info.upright,
             exif=info.exif,
             gamma=info.gamma,
             clipped=clipped_share(rgb[:, :, :3]),
+            small=shrunk(rgb[:, :, :3], SIDE_PX),
+            projection=info.projection,
         )
 
 
 def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> list[str]:
     notes = []
-    turned = sum(photo.turned for photo in photos)
+    turned = sum(not photo.upright.nothing for photo in photos)
     if turned:
         notes.append(f"{turned} photos turned as their EXIF tag says")
+    other = [photo.name for photo in photos if photo.own != photo.upright]
+    if other:
+        notes.append(
+            f"{len(other)} photos say another turn than most of their camera and are turned like these, because a lens "
+            f"belongs to the picture as it is stored: {some(other)}"
+        )
     if len(taken) > 1:
         notes.append(f"photos of several sizes, a camera each: {_sizes(counts, taken)}")
     if len(taken) < len(counts):

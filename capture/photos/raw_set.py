@@ -17,6 +17,7 @@ from jaxtyping import UInt8
 
 from devrf.capture.exif import exposure_stops
 from devrf.capture.frames import grey_small
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.raw import DEMOSAIC, Development, Recipe, WhiteBalance, develop, recipe_for
 from devrf.capture.photos.upright_pictures import write_picture
 from devrf.capture.system.cores import usable_cores
@@ -32,12 +33,14 @@ class RawPhoto:
         file: The 8-bit picture, relative to the ingest folder.
         width, height: Its size, pixels.
         grey: The picture in grey, at the size in which sharpness is measured.
+        upright: How it was turned.
     """
 
     file: str
     width: int
     height: int
     grey: UInt8[np.ndarray, "small_height small_width"]
+    upright: Upright
 
 
 def develop_set(
@@ -74,7 +77,7 @@ def develop_set(
         rgb = photo.rgb
         write_picture(out / file, rgb)
         height, width = rgb.shape[:2]
-        return RawPhoto(file, width, height, grey_small(rgb)), _used(photo, file)
+        return RawPhoto(file, width, height, grey_small(rgb), recipe.upright), _used(photo, file)
 
     photos: dict[int, RawPhoto] = {}
     used = []

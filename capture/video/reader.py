@@ -8,6 +8,7 @@ What the file asks for (display matrix: a turn, a mirror) is applied here, once.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
 
@@ -19,6 +20,7 @@ from av.error import FFmpegError
 from jaxtyping import Int, UInt8
 
 from devrf.capture.orientation import Upright, by_display_matrix
+from devrf.capture.projection import Projection, of_sphere
 from devrf.capture.system.errors import CaptureError, InputError
 from devrf.capture.system.limits import check_span
 from devrf.capture.video.media import open_media, origin_s, video_stream, video_streams
@@ -46,6 +48,8 @@ class VideoInfo:
         upright: What makes the stored pictures upright.
         notes: What is unusual about the file, one sentence each.
         bits: Of a colour of its pictures: 8, or more.
+        pixel_aspect: Width of a pixel of the upright pictures over its height.
+        projection: What the file says of pictures that are no lens's; None: nothing.
     """
 
     path: Path
@@ -59,6 +63,8 @@ class VideoInfo:
     upright: Upright
     notes: tuple[str, ...] = ()
     bits: int = 8
+    pixel_aspect: float = 1.0
+    projection: Projection | None = None
 
 
 @dataclass(frozen=True)
@@ -276,8 +282,8 @@ class VideoReader:
 
     def _describe(self, picture: av.VideoFrame) -> VideoInfo:
         stream, container = self._stream, self._container
-        matrix = picture.side_data.get("DISPLAYMATRIX")
-        upright = Upright() if matrix is None else by_display_matrix(bytes(matrix))
+        matrix = _side(picture, "DISPLAYMATRIX")
+        upright = Upright() if matrix is None else by_display_matrix(matrix)
         width, height = upright.size(picture.width, picture.height)
         notes = []
         if not upright.nothing:
@@ -289,9 +295,12 @@ class VideoReader:
             )
             mine = f"the largest is used, number {stream.index}"
             notes.append(f"{1 + len(others)} streams of pictures: {mine}, not {sizes or 'the others'}")
-        aspect = stream.sample_aspect_ratio
-        if aspect and aspect != 1:
-            notes.append(f"pixels are not square ({aspect.numerator}:{aspect.denominator}); left as they are")
+        aspect = stream.sample_aspect_ratio or Fraction(1)
+        if aspect != 1:
+            stored = f"{aspect.numerator}:{aspect.denominator}"
+            notes.append(
+                f"pixels are not square ({stored}); left as they are, the lens has a focal length each way"
+            )
         if picture.interlaced_frame:
             notes.append("pictures are interlaced: fast motion shows combs; film in a progressive mode")
         transfer = hdr_transfer(picture)
@@ -314,4 +323,12 @@ class VideoReader:
             upright=upright,
             notes=tuple(notes),
             bits=bits_of(picture),
+            pixel_aspect=float(1 / aspect if upright.quarters % 2 else aspect),
+            projection=of_sphere(_side(picture, "SPHERICAL"), _side(picture, "STEREO3D")),
         )
+
+
+def _side(picture: av.VideoFrame, kind: str) -> bytes | None:
+    """What comes beside a picture, of a kind that FFmpeg knows; None without."""
+    found = picture.side_data.get(kind)
+    return None if found is None else bytes(found)

@@ -16,6 +16,7 @@ from devrf.capture.ingest.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.capture.measure import Measure
 from devrf.capture.photos.photo_folders import list_pictures, unread_faults
 from devrf.capture.photos.upright_pictures import read_picture
+from devrf.capture.projection import projection_faults
 from devrf.capture.rest import Rest
 from devrf.capture.system.progress import Progress
 from devrf.capture.system.spread import spread
@@ -52,6 +53,7 @@ def planned_frames(
     used = set(range(look.count) if role != "sweep" else _sweep_pictures(look).tolist())
     times = look.times_s.tolist() or [None] * look.count
     faults = [] if true is None else table_faults(table_factor(true, dict(enumerate(look.times_s.tolist()))))
+    faults += projection_faults(look.projection)
     faults += chapter_faults(look.path) if look.is_clip else unread_faults(look.path)
     frames = CameraFrames(
         role=role,

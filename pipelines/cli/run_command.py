@@ -6,6 +6,7 @@ from typing import NoReturn
 
 import typer
 
+from devrf.capture.system.errors import InputError
 from devrf.capture.system.writable import check_folder
 from devrf.pipelines.inputs.device import resolve_device
 from devrf.pipelines.run_folder.own_folder import check_run_folder
@@ -15,6 +16,7 @@ from devrf.pipelines.runner.standing import Choice, Standing
 from devrf.pipelines.stages import STAGES, stage_names
 from devrf.pipelines.terminal.console import Talk
 from devrf.pipelines.terminal.exit_codes import DONE
+from devrf.pipelines.terminal.logs import last_scene
 from devrf.pipelines.terminal.shared_options import configured, errors_told
 
 
@@ -76,6 +78,16 @@ def only(job: Run, stage: str, scene: Path, device: str = "cpu") -> NoReturn:
 def _check_run(job: Run) -> None:
     check_choice(job)
     check_run_folder(job.run_dir, stage_names())
+    _check_owner(job)
+
+
+def _check_owner(job: Run) -> None:
+    """Refuse the folder that another scene's name has made, too; one that is named in scene.yaml is its owner's."""
+    other = None if job.config.output is not None else last_scene(job.run_dir)
+    if other is not None and other != job.config.name:
+        wrong = f"output: {job.run_dir}: is the run folder of another scene, {other!r}, too"
+        text = f"{wrong}; name another folder (output: in scene.yaml), or give the scene another name"
+        raise InputError("folder-of-another", text)
 
 
 def say_where(job: Run) -> None:

@@ -7,7 +7,6 @@ written, relative to the file (`SceneConfig.path`). Reading the file, overrides 
 """
 
 import os
-import re
 import unicodedata
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,6 +23,7 @@ from pydantic import (
 )
 
 from devrf.capture.rest import Rest
+from devrf.capture.system.file_names import is_safe, safe
 from devrf.flow.methods import mistake
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.words import shown
@@ -33,7 +33,7 @@ Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 
 FORMATS_AT_REST = ("blender", "llff", "colmap")
 LONGEST_PATH, LONGEST_NAME = 1000, 255  # characters, bytes: every system takes these
-CAMERA_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")  # becomes folder and file names
+LONGEST_CAMERA = 64  # characters of a camera's name, which becomes folder and file names
 RESERVED_NAMES = ("static",)  # the sweep's own name in the run folder
 RESERVED_PREFIXES = ("board_", "joint_")  # board clips' names in the run folder
 
@@ -65,6 +65,11 @@ AutoBool = Literal["auto"] | bool
 Squares = Annotated[int, Field(ge=2, le=100)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Gain = Annotated[float, Field(gt=0, le=100)]
+
+
+def is_camera_name(name: str) -> bool:
+    """Whether a camera can be called so: letters of any alphabet, digits, _ and -."""
+    return 0 < len(name) <= LONGEST_CAMERA and is_safe(name) and name[0] not in "_-"
 
 
 class _Section(BaseModel):
@@ -427,7 +432,7 @@ class SceneConfig(_Section):
     @property
     def folder_name(self) -> str:
         """Its name, as a folder's."""
-        return re.sub(r"[^A-Za-z0-9_.-]+", "_", self.name).strip(".") or "scene"
+        return safe(self.name, "_.-").strip(".") or "scene"
 
     def run_dir(self, scene_dir: Path) -> Path:
         """Where the stages' folders lie."""

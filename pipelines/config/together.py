@@ -5,11 +5,11 @@ from collections import Counter
 from collections.abc import Iterator
 
 from devrf.pipelines.config.scene import (
-    CAMERA_NAME,
     RESERVED_NAMES,
     RESERVED_PREFIXES,
     CaptureConfig,
     SceneConfig,
+    is_camera_name,
 )
 from devrf.pipelines.config.words import suggestion
 
@@ -43,7 +43,7 @@ def _names(capture: CaptureConfig) -> Mistakes:
     own = capture.test_cameras if isinstance(capture.test_cameras, dict) else {}
     for section, cameras in (("capture.cameras", capture.cameras), ("capture.test_cameras", own)):
         for name in cameras:
-            if not CAMERA_NAME.fullmatch(name):
+            if not is_camera_name(name):
                 yield section, f"{name!r} is no name for a camera; use letters, digits, _ and - (at most 64)"
             elif name in RESERVED_NAMES or name.startswith(RESERVED_PREFIXES):
                 yield section, f"{name!r} is a name that the run folder needs; choose another"

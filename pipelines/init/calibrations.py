@@ -16,6 +16,7 @@ NOT_OURS = frozenset(("scene.yaml", "ground_truth.json"))  # a truth is for comp
 def take_calibration(folder: Path, files: Sequence[Path], roles: Roles) -> None:
     """Take the first that places every camera, where nothing else would; the others are named as not used."""
     sizes = {name: (s.look.width, s.look.height) for name, s in roles.fixed.items()}
+    clips = {name: s.look for name, s in roles.fixed.items()}
     for file in files if sizes else ():
         if file.suffix.lower() not in SUFFIXES or file.name in NOT_OURS:
             continue
@@ -25,7 +26,7 @@ def take_calibration(folder: Path, files: Sequence[Path], roles: Roles) -> None:
         except DevrfError:
             continue  # another kind of file
         try:
-            given = read_given(file, list(sizes), sizes)
+            given = read_given(file, list(sizes), sizes, clips=clips)
         except DevrfError as error:
             roles.left[name] = f"a calibration ({words}), but {str(error).removeprefix(f'{file}: ')}"
             continue

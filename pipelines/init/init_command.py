@@ -1,7 +1,6 @@
 """`devrf-pipeline init DIR`: look at what a crew brought home, write a commented scene.yaml, say what is missing."""
 
 import os
-import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ from devrf.capture.ingest.survey import Look, Material, find_material, look_at
 from devrf.capture.system.amounts import counted
 from devrf.capture.system.durable import whole
 from devrf.capture.system.errors import DevrfError, InputError
+from devrf.capture.system.file_names import safe
 from devrf.capture.system.progress import Progress
 from devrf.capture.video.timestamps import read_timestamps
 from devrf.pipelines.config.load import load_scene
@@ -43,7 +43,7 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
     if path.exists() and not force:
         text = f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"
         raise InputError("file-exists", text)
-    name = name or re.sub(r"[^A-Za-z0-9_-]+", "-", folder.resolve().name).strip("-")[:100] or "scene"
+    name = name or safe(folder.resolve().name, other="-").strip("-")[:100] or "scene"
     dataset = guess_format(folder)
     if dataset is not None:
         _write(path, dataset_yaml(name, dataset))

@@ -1,9 +1,11 @@
 """What the names of files tell of their roles, and names for cameras out of them."""
 
 import re
+import unicodedata
 from pathlib import Path
 
-from devrf.pipelines.config.scene import CAMERA_NAME, RESERVED_NAMES, RESERVED_PREFIXES
+from devrf.capture.system.file_names import safe
+from devrf.pipelines.config.scene import LONGEST_CAMERA, RESERVED_NAMES, RESERVED_PREFIXES, is_camera_name
 
 WORDS: dict[str, tuple[str, ...]] = {  # what crews call things; the first that fits counts
     "board": ("board", "charuco", "calib", "checker", "chess", "aruco", "intrinsic", "extrinsic"),
@@ -14,6 +16,7 @@ WORDS: dict[str, tuple[str, ...]] = {  # what crews call things; the first that 
     "test": ("witness", "test", "holdout", "heldout", "eval"),
     "camera": ("cam", "gopro", "view", "phone", "left", "right"),
 }
+SHORT = 60  # characters of a name; a number may follow
 BY_NAME = {  # what no content tells; role -> why it is not used
     "white": "a white sheet by its name",
     "chart": "a colour chart by its name",
@@ -37,7 +40,7 @@ def roles_called(name: str) -> list[str]:
 
 def words_of(name: str) -> list[str]:
     """Its letters and numbers, one by one: `GoPro_2/cam1.mp4` has gopro, 2, cam, 1."""
-    return re.findall(r"[a-z]+|\d+", _without_suffix(name.lower()))
+    return re.findall(r"[^\W\d_]+|\d+", _without_suffix(unicodedata.normalize("NFC", name.lower())))
 
 
 def camera_name(name: str, taken: set[str]) -> str:
@@ -46,12 +49,12 @@ def camera_name(name: str, taken: set[str]) -> str:
     stem = path.stem
     if called(stem) not in ("camera", "test") and called(path.parent.name) in ("camera", "test"):
         stem = path.parent.name
-    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", stem).strip("_-")[:60] or "cam"
+    stem = safe(stem).strip("_-")[:SHORT] or "cam"
     if stem in RESERVED_NAMES or stem.startswith(RESERVED_PREFIXES):
         stem = f"cam_{stem}"
-    folder = re.sub(r"[^A-Za-z0-9_-]+", "_", path.parent.name).strip("_-")
-    tries = [stem, f"{folder}_{stem}"[:64], *(f"{stem}_{n}" for n in range(2, 1000))]
-    return next(t for t in tries if t not in taken and CAMERA_NAME.fullmatch(t))
+    folder = safe(path.parent.name).strip("_-")
+    tries = [stem, f"{folder}_{stem}"[:LONGEST_CAMERA], *(f"{stem}_{n}" for n in range(2, 1000))]
+    return next(t for t in tries if t not in taken and is_camera_name(t))
 
 
 def _without_suffix(name: str) -> str:

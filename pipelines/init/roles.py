@@ -11,6 +11,7 @@ from devrf.calibration.boards.guess import BoardGuess, Grey, board_pictures, gue
 from devrf.calibration.preview.stability import steadiness
 from devrf.capture.ingest.survey import Look
 from devrf.capture.measure import Measure
+from devrf.capture.projection import projection_faults
 from devrf.capture.system.amounts import counted
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.init.board_roles import BOARD_SHARE, give_boards, is_board_clip
@@ -127,6 +128,9 @@ def _camera(s: Seen, roles: Roles) -> None:
 def _fault(s: Seen) -> str | None:
     if s.look.black:
         return "black: a lens cap, or no light; film again"
+    if s.look.projection is not None:
+        (row,) = judge(projection_faults(s.look.projection, s.look.path.name))
+        return f"{row.value}. {row.remedy}"
     if s.look.is_clip and s.look.count < 2:
         return "a single picture; expected a clip"
     few = judge([Measure("sweep-few-pictures", s.look.count)])[0].verdict == "fail"

@@ -115,7 +115,8 @@ def ingested(frames: FrameSet) -> Iterator[Measure]:
         if camera.ended_early is not None:
             yield Measure("not-used", camera.ended_early, name, "ended", source)
         for fault in camera.faults:
-            yield replace(fault, about=name, facts={**fault.facts, **source})
+            refuses = camera.role != "test"
+            yield replace(fault, about=name, facts={**fault.facts, **source}, refuses=refuses)
         yield from noted(camera.notes, name)
 
 

@@ -156,9 +156,8 @@ def _check_given(config: SceneConfig, scene_dir: Path, session: CaptureSession) 
     from devrf.pipelines.inputs.given_calibration import given_calibration
 
     clips = {name: probe_video(path) for name, path in session.cameras.items()}
-    sizes = {name: (clip.width, clip.height) for name, clip in clips.items()}
     try:
-        given = given_calibration(config, scene_dir, sizes)
+        given = given_calibration(config, scene_dir, clips)
     except DevrfError as error:
         return [f"calibration.rig.given: {error}"]
     elsewhere = session.static is not None or bool(session.joint_clips)

@@ -16,6 +16,7 @@ from devrf.calibration.sweep.static_poses import (
 )
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, some
 from devrf.capture.measure import noted
+from devrf.capture.orientation import by_exif
 from devrf.capture.photos.photo_folders import list_pictures
 from devrf.capture.photos.picture_files import open_picture
 from devrf.capture.system.progress import Progress, no_progress
@@ -27,6 +28,8 @@ from devrf.pipelines.inputs.board_clips import files_of
 from devrf.pipelines.inputs.board_spec import board_spec, lens_choice
 from devrf.pipelines.stage import StageContext
 
+BOARD = f"board_{SWEEP}"
+
 
 def run(context: StageContext) -> None:
     """Write `static_poses.json`, `colmap/`, `points.npz` and `colmap.log`."""
@@ -36,6 +39,7 @@ def run(context: StageContext) -> None:
     assert capture is not None and capture.static is not None  # else the stage does not apply
     board = _board(context, frames)
     sfm = context.config.calibration.static_poses
+    stored = None if board is None else board.intrinsics.turned(frames.cameras[BOARD].upright.inverse)
     threads, side_px = swept_at_once(context, frames.cameras[SWEEP])
     model, without_mask = recover_sweep(
         ingest,
@@ -44,11 +48,12 @@ def run(context: StageContext) -> None:
         sfm,
         context.scene_dir,
         context.config.path(context.scene_dir, capture.static),
-        known=None if board is None else board.intrinsics,
+        known=stored,
         progress=context.progress,
         options=SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px),
     )
-    context.measures += sweep_measures(model, None if board is None else board.intrinsics, side_px)
+    lens = None if stored is None else stored.turned(frames.cameras[SWEEP].upright)
+    context.measures += sweep_measures(model, lens, side_px)
     context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
     if board is not None:
         _add_board(context.out / "static_poses.json", board)
@@ -75,7 +80,7 @@ def recover_sweep(
         config: Keys of `calibration.static_poses`.
         scene_dir: What paths of the configuration are relative to.
         source: The sweep itself, a film or a folder of photos.
-        known: Intrinsics by a board.
+        known: Intrinsics by a board, of pictures as they are stored.
         progress: Told how far it is.
         options: Threads, size of pictures and time that it may use; None: all there are, as the configuration has it.
     Returns:
@@ -85,15 +90,18 @@ def recover_sweep(
     sizes = {name: _size(ingest / "frames" / name) for name in used}
     exif = {name: frame.exif for name, frame in used.items() if frame.exif is not None}
     film = sweep.fps_mean is not None
+    turns = {n: sweep.upright if film else by_exif(f.orientation or 1) for n, f in used.items()}
     with tempfile.TemporaryDirectory(dir=out, prefix="masks-") as masks:
         without = []
         if config.masks is not None:
             photos = [] if film else [photo.name for photo in list_pictures(source)]
             called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
-            without = prepare_masks(SceneConfig.path(scene_dir, config.masks), called, sizes, Path(masks))
+            re_turned = {n: frame.re_turned for n, frame in used.items()}
+            folder = SceneConfig.path(scene_dir, config.masks)
+            without = prepare_masks(folder, called, sizes, Path(masks), re_turned)
         model = recover_static_poses(
             ingest / "frames",
-            device_groups(sizes, exif, known),
+            device_groups(sizes, exif, known, sweep.pixel_aspect, turns),
             out,
             options=options or SweepOptions(config.mapper),
             ordered=film,
@@ -111,13 +119,15 @@ def _size(file: Path) -> tuple[int, int]:
 
 def _board(context: StageContext, frames: FrameSet) -> BoardCalibration | None:
     """Intrinsics of the sweep's device from its board clip, where there is one."""
-    clip = frames.cameras.get(f"board_{SWEEP}")
+    clip = frames.cameras.get(BOARD)
     spec = board_spec(context.config)
     if clip is None or spec is None:
         return None
     files, size = files_of(context.run_dir, clip), (clip.width, clip.height)
-    views, settled = find_board(f"board_{SWEEP} ({clip.source})", files, spec, context.progress)
-    return calibrate_intrinsics(SWEEP, views, settled, size, lens_choice(context.config))
+    views, settled = find_board(f"{BOARD} ({clip.source})", files, spec, context.progress)
+    return calibrate_intrinsics(
+        SWEEP, views, settled, size, lens_choice(context.config), pixel_aspect=clip.pixel_aspect
+    )
 
 
 def _add_board(file: Path, board: BoardCalibration) -> None:

@@ -55,6 +55,21 @@ class Events:
             pass
 
 
+def last_scene(run_dir: Path) -> str | None:
+    """The scene that a run folder was begun for most lately; None where nothing says so."""
+    try:
+        lines = (run_dir / EVENTS_FILE).read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    for line in reversed(lines):
+        if '"run_started"' in line:
+            try:
+                return str(json.loads(line)["scene"])
+            except (ValueError, KeyError, TypeError):  # torn
+                continue
+    return None
+
+
 def new_run_name() -> str:
     """Name of a run, in the order of time: 20261122-231500-1f3a."""
     return f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(2)}"

@@ -16,7 +16,9 @@ from devrf.calibration.rigs.given import Given, read_given
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, write_rig
 from devrf.capture.camera import Camera
 from devrf.capture.formats.colmap.colmap_model import Model, read_model, write_model
+from devrf.capture.orientation import by_exif
 from devrf.capture.system.errors import InputError
+from devrf.capture.video.reader import VideoInfo
 from devrf.pipelines.health.judge import judge
 
 SIZE = (640, 480)
@@ -290,3 +292,48 @@ def test_a_damaged_rig_is_named(name: str, text: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     with refused("file-damaged", "rig.json", kind=InputError):
         read(tmp_path / name)
+
+
+def clips(path: Path, orientation: int = 1, pixel_aspect: float = 1.0) -> dict[str, VideoInfo]:
+    """What clips say that were turned so."""
+    upright = by_exif(orientation)
+    info = VideoInfo(path, *upright.size(*SIZE), "h264", 1.0, 30, 30.0, False, upright, (), 8, pixel_aspect)
+    return dict.fromkeys(NAMES, info)
+
+
+@pytest.mark.parametrize("orientation", [6, 8])
+def test_a_calibration_of_stored_pictures_is_turned_as_the_clips_are(
+    tmp_path: Path, orientation: int
+) -> None:
+    """Lens and pose: what the camera sees, it sees where the turned pictures show it."""
+    RIG_LAYOUTS["pose2sim"](tmp_path, cameras(), True)
+    upright, place = by_exif(orientation), np.array([[0.3, 0.2, 2.0]])
+    given = read(tmp_path / "Calib.toml", size=SIZE[::-1], clips=clips(tmp_path, orientation))
+    for name, c in rig_of(given).cameras.items():
+        seen = upright.points(cameras()[name].project(place), *SIZE)
+        np.testing.assert_allclose(c.camera.project(place), seen, atol=1e-6)
+        assert given.intrinsics[name].width == SIZE[1]
+    assert fired(given.measures).keys() <= {"given-assumed unit"}
+
+
+def test_where_a_turn_leaves_the_size_it_is_asked_which_pictures_were_calibrated(tmp_path: Path) -> None:
+    own_rig(tmp_path / "rig.json")
+    row = fired(read(tmp_path / "rig.json", clips=clips(tmp_path, 3)).measures)["given-assumed cam0"]
+    assert "180" in str(row.value) and "ffmpeg -display_rotation 0" in row.remedy
+    assert not fired(read(tmp_path / "rig.json", clips=clips(tmp_path)).measures)  # the command takes it out
+
+
+def test_a_calibration_with_square_pixels_of_clips_with_others(tmp_path: Path) -> None:
+    """Made at 640x480 of a clip of 480x480 whose pixels are 4:3."""
+    own_rig(tmp_path / "rig.json")
+    given = read(tmp_path / "rig.json", size=(480, 480), clips=clips(tmp_path, 1, 4 / 3))
+    K = given.intrinsics["cam0"].K
+    assert (K[0, 0], K[1, 1], K[0, 2]) == pytest.approx((375, 500, 240))
+    with refused("picture-size-wrong", "480x480", kind=InputError):
+        read(tmp_path / "rig.json", size=(480, 480))
+
+
+def test_a_calibration_of_turned_pictures_of_which_nobody_says_how(tmp_path: Path) -> None:
+    own_rig(tmp_path / "rig.json")
+    with refused("picture-size-wrong", "480x640", "turned", kind=InputError):
+        read(tmp_path / "rig.json", size=SIZE[::-1])

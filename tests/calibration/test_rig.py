@@ -127,6 +127,18 @@ def test_registration_finds_the_focal_length(sweep):
     assert turn < 0.5 and position < 0.01  # the principal point is 4 px off: 0.4 degrees
 
 
+def test_registration_with_pixels_that_are_not_square(sweep):
+    """HDV: pixels of 4:3, so that fy is 4/3 of fx."""
+    model, look = sweep
+    xy, descriptors = features_of(fixed_cameras()["cam2"], model, look, 6)
+    size = (SIZE[0] * 3 // 4, SIZE[1])
+    narrow = (xy * [0.75, 1.0]).astype(np.float32)
+    found, inliers = register(narrow, descriptors, model, guess(*size, None, 4 / 3), known=False)
+    assert found is not None and inliers > 250
+    assert np.diag(found.camera.K)[:2] == pytest.approx([0.75 * VECTOR[0], VECTOR[0]], rel=0.01)
+    assert errors(found.camera, fixed_cameras()["cam2"])[0] < 0.5
+
+
 @pytest.mark.parametrize("board", [True, False])
 def test_rig_from_sweep(sweep, tmp_path, monkeypatch, board):
     model, look = sweep

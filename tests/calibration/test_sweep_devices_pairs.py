@@ -14,6 +14,7 @@ from devrf.calibration.sweep.pairs import EXHAUSTIVE_UP_TO, plan_pairs
 from devrf.calibration.sweep.sfm_budget import CHUNK, Deadline, Matching
 from devrf.capture.exif import Exif, Place
 from devrf.capture.frames import FrameSet
+from devrf.capture.orientation import Upright
 from devrf.capture.photos.extract import extract_folder
 from devrf.capture.photos.upright_pictures import probe_picture
 from devrf.capture.system.errors import InputError
@@ -28,6 +29,12 @@ def test_groups_by_size_share_a_camera():
     tall, wide = device_groups(sizes, {}, known)
     assert wide.names == ("a", "c") and wide.source == "board" and wide.fixed and wide.intrinsics is known
     assert tall.names == ("b",) and tall.source == "guess"
+    turned = device_groups(sizes, {}, known, turns={"b": Upright(1), "c": Upright(2)})
+    assert [(g.names, g.source, g.intrinsics.width) for g in turned if g.source == "board"] == [
+        (("a",), "board", 320)
+    ]
+    (tall,) = device_groups({"b": (240, 320)}, {}, known, turns={"b": Upright(1)})
+    assert tall.source == "board" and tall.intrinsics.vector[:4].tolist() == [300, 300, 120, 160]
     by_exif = device_groups({"a": (320, 240)}, {"a": Exif("", 280.0)}, None)[0]
     assert by_exif.source == "EXIF" and not by_exif.fixed and by_exif.intrinsics.K[0, 0] == 280.0
     assert guess(320, 240).K[0, 0] == pytest.approx(384.0)

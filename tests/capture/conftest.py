@@ -32,6 +32,7 @@ def make_clip(tmp_path: Path) -> MakeClip:
         colour: tuple[int, int, int, int] | None = None,
         flagged: int | None = None,
         crf: int = 10,
+        pixel_aspect: Fraction | None = None,
     ) -> Path:
         path = tmp_path / name
         when = [i / 25 for i in range(len(pictures))] if times_s is None else times_s
@@ -46,6 +47,8 @@ def make_clip(tmp_path: Path) -> MakeClip:
                 coder = video.codec_context
                 coder.colorspace, coder.color_trc, coder.color_primaries, levels = colour
                 coder.color_range = levels if flagged is None else flagged
+            if pixel_aspect is not None:
+                video.codec_context.sample_aspect_ratio = pixel_aspect
             if rotation:
                 video.set_display_rotation(rotation)
             audio = None if sound is None else container.add_stream("aac", rate=rate_hz, layout="mono")

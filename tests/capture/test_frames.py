@@ -78,7 +78,7 @@ def test_exif_orientation_is_baked_once(tmp_path, orientation):
     if orientation == 1:
         assert written.read_bytes() == (tmp_path / "in" / "a.jpg").read_bytes()
     else:
-        assert frames.notes[0].startswith("1 ") and probe_picture(written).turned is False
+        assert frames.notes[0].startswith("1 ") and probe_picture(written).upright.nothing
 
 
 def test_mixed_sizes_are_reported_and_transparency_kept(tmp_path):
@@ -214,5 +214,5 @@ def test_tags_of_png_are_read_without_decoding(tmp_path, behind, monkeypatch):
     monkeypatch.setattr(Image.Image, "load", lambda image: pytest.fail("decoded"))
     monkeypatch.setattr(PngImagePlugin.PngImageFile, "load", lambda image: pytest.fail("decoded"))
     info = probe_picture(path)
-    assert (info.width, info.height, info.turned) == (30, 40, True)
+    assert (info.width, info.height, info.upright.degrees) == (30, 40, 270)
     assert info.exif is not None and info.exif.device == "Maker"

@@ -110,7 +110,7 @@ def test_a_set_is_turned_once_and_alike(tmp_path):
         got = develop(path, recipe).linear / 65535
         np.testing.assert_allclose(inside(got), inside(np.rot90(light(), -1)), atol=TRUTH)
     info = probe_picture(tmp_path / "0.dng")
-    assert (info.width, info.height, info.turned) == (HEIGHT, WIDTH, True)
+    assert (info.width, info.height, info.upright.degrees) == (HEIGHT, WIDTH, 270)
     assert read_picture(tmp_path / "0.dng").shape == (WIDTH, HEIGHT, 3)
 
 

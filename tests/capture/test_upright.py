@@ -50,3 +50,16 @@ def test_exif_orientation(orientation):
 
 def test_what_is_no_orientation_changes_nothing():
     assert by_exif(9) == Upright() and Upright().nothing and not Upright().words
+
+
+@pytest.mark.parametrize("orientation", EXIF)
+def test_what_lies_in_a_picture_is_turned_as_its_pixels_are(orientation: int) -> None:
+    upright = by_exif(orientation)
+    turned = upright.apply(PICTURE)
+    assert upright.orientation == orientation
+    np.testing.assert_array_equal(upright.inverse.apply(turned), PICTURE)
+    for row, column in itertools.product(range(2), range(3)):
+        x, y = upright.points(np.array([column + 0.5, row + 0.5]), 3, 2)
+        assert turned[int(y), int(x)] == PICTURE[row, column]
+    for after in map(by_exif, EXIF):
+        np.testing.assert_array_equal(upright.then(after).apply(PICTURE), after.apply(turned))

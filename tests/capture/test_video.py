@@ -1,5 +1,6 @@
 """Video: times from timestamps, upright pictures, and files that are not what they should be."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -8,6 +9,7 @@ import pytest
 from tests.make.clips import add_pictures
 from tests.refused import refused
 
+from devrf.capture.ingest.extract_clip import Keep, extract_clip
 from devrf.capture.system.errors import InputError
 from devrf.capture.video.media import MOST_THREADS, open_media, video_stream
 from devrf.capture.video.packets import scan_packets
@@ -160,3 +162,13 @@ def test_of_several_streams_of_pictures_the_largest(tmp_path):
     info = probe_video(path)
     assert (info.width, info.height) == (128, 64) and any("64x32" in note for note in info.notes)
     assert scan_packets(path).count == 5
+
+
+@pytest.mark.parametrize(("rotation", "aspect"), [(0, 4 / 3), (180, 4 / 3), (90, 3 / 4)])
+def test_pixels_that_are_not_square(make_clip, pictures, tmp_path, rotation, aspect):
+    path = make_clip("wide.mp4", pictures, rotation=rotation, pixel_aspect=Fraction(4, 3))
+    info = probe_video(path)
+    assert info.pixel_aspect == pytest.approx(aspect) and any("4:3" in note for note in info.notes)
+    frames = extract_clip(path, tmp_path, "cam0", "camera", "wide.mp4", Keep()).frames
+    assert frames.pixel_aspect == info.pixel_aspect and frames.upright == info.upright
+    assert probe_video(make_clip("square.mp4", pictures)).pixel_aspect == 1

@@ -4,11 +4,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.refused import refused
 
 from devrf.calibration.boards.find import BoardSpec, BoardView
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
+from devrf.capture.orientation import Upright
 from devrf.capture.system.errors import HealthError, InputError
 from devrf.lab.bench.accuracy.simulated_boards import SIZE, SPEC, board_views
 from devrf.pipelines.inputs import board_clips
@@ -98,3 +100,30 @@ def test_a_clip_in_another_mode_is_refused_before_it_is_searched(
     with refused("board-clip-size", "640x360", "'cam0'", "1280x720", kind=InputError):
         BoardClips(tmp_path, other, TOLD).search("cam0", entry)
     assert searched == []
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "size"), [(180, SIZE), (90, SIZE[::-1]), (270, SIZE[::-1])], ids=["upside", "left", "right"]
+)
+def test_a_camera_held_otherwise_before_the_board_has_the_lens_of_its_other_clips(
+    frames: FrameSet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, turn_deg: int, size: tuple[int, int]
+) -> None:
+    turn = Upright(turn_deg // 90)
+    seen = board_views(VIEWS, 0.1)
+    shown = [replace(view, xy=turn.points(view.xy, *SIZE)) for view in seen]
+    monkeypatch.setattr(board_clips, "find_board", lambda *args: (shown, SETTLED))
+    own = replace(frames.cameras["board_cam0"], width=size[0], height=size[1], rotation_deg=turn_deg)
+    turned = replace(frames, cameras=frames.cameras | {"board_cam0": own})
+    found = BoardClips(tmp_path, turned, TOLD).search("cam0", "board_cam0")
+    assert found.size == SIZE
+    for view, true in zip(found.views, seen, strict=True):
+        np.testing.assert_allclose(view.xy, true.xy)
+
+
+def test_a_clip_that_is_turned_and_does_not_say_how_is_refused_as_that(
+    frames: FrameSet, searched: list[str], tmp_path: Path
+) -> None:
+    tall = replace(frames.cameras["board_cam0"], width=SIZE[1], height=SIZE[0])
+    other = replace(frames, cameras=frames.cameras | {"board_cam0": tall})
+    with refused("board-clip-size", "720x1280", "turned", "held", kind=InputError):
+        BoardClips(tmp_path, other, TOLD).search("cam0", "board_cam0")

@@ -8,14 +8,16 @@ from tests.conftest import Command
 from tests.refused import refused
 
 from devrf.capture.formats.datasets import read_dataset, write_dataset
-from devrf.capture.formats.parts.files import LONGEST_NAME
+from devrf.capture.formats.parts.files import LONGEST_NAME, safe_name
 from devrf.capture.scene import Scene
 from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.error import ConfigError
 from devrf.pipelines.config.load import load_scene
-from devrf.pipelines.config.scene import CAMERA_NAME
+from devrf.pipelines.config.scene import SceneConfig, is_camera_name
+from devrf.pipelines.init.names import camera_name, words_of
 from devrf.pipelines.run_folder.own_folder import check_run_folder
 from devrf.pipelines.stages import stage_names
+from devrf.pipelines.terminal.logs import Events
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def mistakes(scene: Path, text: str) -> str:
 
 @pytest.mark.parametrize(
     "name",
-    ["../evil", "/etc", "a/b", "..", ".", ".hidden", "a\\b", "-rf", "a b", "a\nb", "x" * 65, "名前", "static",
+    ["../evil", "/etc", "a/b", "..", ".", ".hidden", "a\\b", "-rf", "a b", "a\nb", "x" * 65, "№1", "static",
      "board_a", "joint_a", ""],
 )  # fmt: skip
 def test_names_of_cameras_become_folders(scene: Path, name: str) -> None:
@@ -151,8 +153,71 @@ def test_names_in_a_data_set_stay_names(tmp_path: Path, odd_scene: Scene) -> Non
     found = read_dataset("nerfstudio", tmp_path / "set")
     names = {frame.camera_name for frame in found.dynamic}
     assert len(names) == 3
-    assert all(CAMERA_NAME.fullmatch(name) and len(name) <= LONGEST_NAME for name in names)
+    assert all(is_camera_name(name) and len(name) <= LONGEST_NAME for name in names)
     write_dataset("colmap", found, tmp_path / "out" / "again")
     write_dataset("nerfstudio", found, tmp_path / "out" / "more")
     made = {p.relative_to(tmp_path).parts[0] for p in tmp_path.rglob("*")}
     assert made == {"set", "out", "pictures"}
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [("кухня", "спальня"), ("台所", "寝室"), ("Küche", "Köche"), ("कक्ष", "काक्ष"), ("x" * 200, "x" * 199 + "y"),
+     ("木" * 199 + "林", "木" * 200)],
+)  # fmt: skip
+def test_scenes_whose_names_differ_by_letters_have_a_folder_each(scene: Path, one: str, other: str) -> None:
+    folders = []
+    for n, name in enumerate((one, other)):
+        path = scene / f"{n}.yaml"
+        path.write_text(json.dumps({"name": name, "capture": {"static": "a.mp4"}}), encoding="utf-8")
+        folders.append(load_scene(path).run_dir(scene))
+        folders[-1].mkdir(parents=True)
+    assert folders[0] != folders[1] and folders[0].parent == folders[1].parent == scene / "runs"
+
+
+def test_names_that_were_good_for_folders_stay_them(scene: Path) -> None:
+    for name, folder in (("my room 2", "my_room_2"), ("a/b", "a_b"), ("x.y-z_", "x.y-z_"), ("a_ b", "a__b")):
+        config = SceneConfig.model_validate({"name": name, "capture": {"static": "a.mp4"}})
+        assert config.folder_name == folder
+
+
+def test_a_folder_that_two_names_make_is_its_first_scene_s(scene: Path, devrf: Command) -> None:
+    """A remedy that is a key: applied, the scene has a folder of its own."""
+    config = {"name": "room/1", "capture": {"static": "a.mp4"}}
+    (scene / "other.yaml").write_text(json.dumps(config | {"name": "room 1"}))
+    folder = scene / "runs" / "room_1"
+    folder.mkdir(parents=True)
+    Events(folder, "first").write("run_started", scene="room 1")
+    (folder / "devrf.log").touch()
+    path = scene / "scene.yaml"
+    for name, tried, refused_as in (
+        ("as it is", config, "folder-of-another"),
+        ("output", config | {"output": "runs/second"}, "inputs-unusable"),  # a.mp4 is no clip
+        ("its own", config | {"name": "room 1"}, "inputs-unusable"),
+    ):
+        path.write_text(json.dumps(tried))
+        done = devrf("run", path)
+        assert done.code == 2 and f"[{refused_as}]" in done.err, name
+        assert ("'room 1'" in done.err and "output" in done.err) == (name == "as it is")
+
+
+@pytest.mark.parametrize(
+    ("name", "camera"),
+    [
+        ("левая.mp4", "левая"),
+        ("правая камера.mp4", "правая_камера"),
+        ("カメラ1/clip.mp4", "clip"),
+        ("!!.mp4", "cam"),
+    ],
+)
+def test_init_calls_cameras_as_their_files(name: str, camera: str) -> None:
+    assert camera_name(name, set()) == camera and is_camera_name(camera)
+    assert camera_name(name, {camera}) != camera
+
+
+def test_a_board_clip_is_known_by_its_camera_s_name_in_any_alphabet() -> None:
+    assert words_of("доска_левая.mp4") == ["доска", "левая"] == [*words_of("доска"), *words_of("левая")]
+
+
+def test_cameras_of_data_sets_whose_names_are_of_another_alphabet_stay_two() -> None:
+    assert safe_name("левая") == "левая" != safe_name("правая") and safe_name("a b/c") == "a_b_c"

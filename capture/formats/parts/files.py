@@ -3,13 +3,13 @@
 import json
 import math
 import os
-import re
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from devrf.capture.photos.picture_files import open_picture
 from devrf.capture.system.errors import CaptureError
+from devrf.capture.system.file_names import safe
 from devrf.capture.system.limits import TEXT_BYTES, check_bytes
 
 LONGEST_NAME = 64  # of a camera, characters
@@ -160,8 +160,8 @@ def relative_to(path: Path, base: Path) -> str:
 
 
 def safe_name(name: object) -> str:
-    """A name that can be a file's: letters, digits, `_` and `-`."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", str(name))[:LONGEST_NAME].strip("_") or "camera"
+    """A name that can be a file's: letters of any alphabet, digits, `_` and `-`."""
+    return safe(str(name))[:LONGEST_NAME].strip("_") or "camera"
 
 
 def _whole(digits: str) -> int | float:

@@ -57,7 +57,7 @@ def read_joint_views(
         if name not in calibrated:
             own[name] = seen.calibration
             start[name] = own[name].intrinsics
-            known[name] = weak_intrinsics(own[name].intrinsics)
+            known[name] = weak_intrinsics(own[name].intrinsics, frames.cameras[name].pixel_aspect)
     return JointViews(spec, views, start, known, own)
 
 

@@ -130,8 +130,7 @@ class _Job:
     @cached_property
     def given(self) -> Given | None:
         """What `calibration.rig.given` names, at the sizes of the clips."""
-        sizes = {name: (c.width, c.height) for name, c in self.frames.moving.items()}
-        found = given_calibration(self.context.config, self.context.scene_dir, sizes)
+        found = given_calibration(self.context.config, self.context.scene_dir, self.frames.moving)
         self.measures += () if found is None else found.measures
         return found
 
@@ -278,7 +277,11 @@ class _Job:
         rest, inputs = self.context.config.rest, []
         for name, camera in cameras.items():
             pictures = clean_pictures(name, files_of(self.context.run_dir, camera), rest, clean)
-            inputs.append(FixedCameraInput(name, pictures, camera.width, camera.height, known.get(name)))
+            inputs.append(
+                FixedCameraInput(
+                    name, pictures, camera.width, camera.height, known.get(name), camera.pixel_aspect
+                )
+            )
         at_once = registered_at_once(self.context, list(cameras.values()), len(model.names))
         found = rig_from_sweep(model, inputs, self.context.out, progress, at_once, standing)
         used = {c.details["picture"] for c in found.cameras.values()}

@@ -90,11 +90,13 @@ def _clips(
             else list_pictures(raw_file(context.config, context.scene_dir, name))
         )
         small = [_small(f.camera) for f in of_camera]
+        re_turned = {frame.index: frame.re_turned for frame in filmed.frames}
         clips[name] = Clip(
             camera=name,
             files=tuple(f.path for f in of_camera),
             names={f.index: None if photos is None else photos[f.index].name for f in of_camera},
             small_sizes=tuple((camera.width, camera.height) for camera in small),
+            turns=tuple(re_turned[f.index] for f in of_camera),
         )
     return clips
 
