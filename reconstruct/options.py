@@ -95,7 +95,7 @@ class MotionOptions:
         most_keys: Most key times; a scene with fewer distinct times has fewer.
         keys: Number of key times where it is given.
         adapt: Take fewer key times and coarser levels where the scene needs no more, and none of its time where nothing
-            moves (`key_times.py`, `sizing.py`, `still_keys.py`).
+            moves (`key_times.py`, `sizing.py`, `static_keys.py`).
         lr: Learning rate at the first level, for a box of REFERENCE_EXTENT; at level k of K+1: lr * 0.1^(k/K).
         learning_rate: Factor on it and on fine-tuning's.
         one_camera: Each step draws from one camera, the cameras in turn, as published.

@@ -1,7 +1,7 @@
 """Picture files as they are stored: bytes in, RGB or RGBA out, and back to PNG.
 
 Only Pillow is needed, so that training runs where no video or vision library is installed. EXIF orientation is
-not applied: the cameras of a scene belong to the pixels as they are stored (`pictures.py` turns photos upright).
+not applied: the cameras of a scene belong to the pixels as they are stored (`upright_pictures.py` turns photos).
 """
 
 import re

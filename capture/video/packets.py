@@ -1,6 +1,6 @@
 """What a clip's coded pictures tell without being decoded: how many, when, how many bytes. Reading them is fast.
 
-A packet holds a picture, or one field of an interlaced one (`fields.py`).
+A packet holds a picture, or one field of an interlaced one (`interlaced.py`).
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """A few pictures of a long clip, by seeking: when its pictures were taken, and short runs of them.
 
-Only what is asked for is decoded, from the nearest key picture before it. `video.py` is for whole clips.
+Only what is asked for is decoded, from the nearest key picture before it. `reader.py` is for whole clips.
 """
 
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,7 @@
 """One decoded picture of a video as 8-bit colours, and as a small grey picture to measure on.
 
 Eight bits are converted by swscale with the matrix and range the file names; unlabelled HD is BT.709 and smaller is
-BT.601, as players do it. More bits are converted in 16 and rounded to 8. HLG and PQ go through `hdr.py`.
+BT.601, as players do it. More bits are converted in 16 and rounded to 8. HLG and PQ go through `tone_mapping.py`.
 """
 
 import av

@@ -54,7 +54,7 @@ def needed_spacing(flows: dict[str, CameraFlow]) -> tuple[float, str] | None:
 
     Ways between them have to be nearly straight (one of acceleration a bends by a h^2 / 8 over h pictures), and
     short enough for a key time to be found from the one before. Where next to nothing moves from one picture to the
-    next, flow is followed over two, four, eight; where nothing moves then either, `still_keys.py` finds out.
+    next, flow is followed over two, four, eight; where nothing moves then either, `static_keys.py` finds out.
     """
     span = 1
     while asked := [_Ways.of(clip, n, span) for clip in flows.values() for n in _ends(clip, span)]:

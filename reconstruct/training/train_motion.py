@@ -3,8 +3,7 @@
 Coarse to fine: at each level of the pyramid the key times are visited in order, away from the time of rest, and
 each key's two grids are trained alone on the pictures around its time, with a fresh Adam. At the first level a key
 starts from the one before it, which tracks the motion through time; later levels start from their own, refined.
-A ray's own time lies between two keys and is interpolated; the neighbours are held fixed meanwhile. Between levels
-the cameras' clocks may be learned, too (`clocks.py`).
+A ray's own time lies between two keys and is interpolated; the neighbours are held fixed meanwhile.
 
 The published program takes the pixels of one camera in each step, the cameras in turn, all pixels alike: preset
 `reference` does so, the others take all cameras at once and mostly pixels that change. Departures: exact times
