@@ -25,13 +25,13 @@ WORDS: dict[Projection, str] = {
     "eyes": "two halves that show the same: a stereo (3-D, 180°) film",
     "panorama": "a panorama that was stitched of several pictures",
 }
-BY_SPHERE: dict[int, Projection] = {
+BY_SPHERE: dict[int, Projection] = {  # AVSphericalProjection; cubes are cut from all around, too
     0: "equirectangular",
     1: "equirectangular",
     2: "equirectangular",
     3: "eyes",
+    5: "fisheyes",
 }
-BY_SPHERE |= {5: "fisheyes"}  # AVSphericalProjection; cubes are cut from all around, too
 SIDE_PX, LEAST_PX = 320, 32  # of the picture in which is looked, and of its height
 # Both edges of 60 clips of 13 scenes agree as if by chance, below 0.35 in the median; of a film of all around by 0.84.
 SEAM = 0.6  # correlation along the edge, of what is finer than a fifth of the height
@@ -61,16 +61,19 @@ def of_xmp(xmp: bytes | str | None) -> Projection | None:
 
 def projection_of(said: Iterable[Projection | None], pictures: Sequence[Picture]) -> Projection | None:
     """What the pictures of one camera are, by their tags, else by what they show; None where each might be a lens's."""
-    told = next((kind for kind in said if kind is not None), None)
-    if told is not None:
-        return told
+    for told in said:
+        if told is not None:
+            return told
     shown = [grey for grey in map(_small, pictures) if grey.std() > FINEST]
-    tests: dict[Projection, Callable[[Grey], bool]] = {
-        "equirectangular": _is_all_around,
-        "fisheyes": _has_circles,
-        "eyes": _has_eyes,
-    }
-    return next((kind for kind, test in tests.items() if sum(map(test, shown)) > len(shown) / 2), None)
+    tests: tuple[tuple[Projection, Callable[[Grey], bool]], ...] = (
+        ("equirectangular", _is_all_around),
+        ("fisheyes", _has_circles),
+        ("eyes", _has_eyes),
+    )
+    for kind, test in tests:
+        if sum(map(test, shown)) > len(shown) / 2:
+            return kind
+    return None
 
 
 def projection_faults(kind: Projection | None, source: str = "") -> list[Measure]:

@@ -198,6 +198,7 @@ def _fitted(
             remedy = "expected it near the middle; calibrate at the size of the clip"
             raise InputError("principal-point-outside", f"{wrong}; {remedy}")
         camera = replace(camera, size=stored)
+    assert camera.size is not None
     if _same_shape(camera.size, size) or _same_shape(camera.size, size, aspect):
         fitted, said = _resized(name, camera, size)
         return fitted, said + _doubt_turn(name, upright)
@@ -210,7 +211,7 @@ def _fitted(
         f"{where}: camera '{name}' is calibrated at {width}x{height}, its clip is {clip_width}x{clip_height}"
     )
     why = "a cropped clip needs a calibration of its own"
-    if _same_shape(camera.size, size[::-1]):
+    if _same_shape(camera.size, (clip_height, clip_width)):
         why = "one is turned, and the clip does not say how: calibrate on pictures turned like the clip's"
     expected = "expected the same size, or all of the picture made larger or smaller"
     raise InputError("picture-size-wrong", f"{wrong}; {expected}; {why}")

@@ -308,7 +308,7 @@ def test_a_calibration_of_stored_pictures_is_turned_as_the_clips_are(
     """Lens and pose: what the camera sees, it sees where the turned pictures show it."""
     RIG_LAYOUTS["pose2sim"](tmp_path, cameras(), True)
     upright, place = by_exif(orientation), np.array([[0.3, 0.2, 2.0]])
-    given = read(tmp_path / "Calib.toml", size=SIZE[::-1], clips=clips(tmp_path, orientation))
+    given = read(tmp_path / "Calib.toml", size=(SIZE[1], SIZE[0]), clips=clips(tmp_path, orientation))
     for name, c in rig_of(given).cameras.items():
         seen = upright.points(cameras()[name].project(place), *SIZE)
         np.testing.assert_allclose(c.camera.project(place), seen, atol=1e-6)
@@ -336,4 +336,4 @@ def test_a_calibration_with_square_pixels_of_clips_with_others(tmp_path: Path) -
 def test_a_calibration_of_turned_pictures_of_which_nobody_says_how(tmp_path: Path) -> None:
     own_rig(tmp_path / "rig.json")
     with refused("picture-size-wrong", "480x640", "turned", kind=InputError):
-        read(tmp_path / "rig.json", size=SIZE[::-1])
+        read(tmp_path / "rig.json", size=(SIZE[1], SIZE[0]))

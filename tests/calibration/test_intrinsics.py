@@ -26,6 +26,7 @@ def test_a_lens_is_turned_as_its_pictures_are(orientation, model):
     seen = upright.points(lens.at(np.eye(3, 4)).project(places), 640, 480)
     np.testing.assert_allclose(turned.at(np.eye(3, 4)).project(places @ L.T), seen, atol=1e-9)
     back = turned.turned(upright.inverse)
+    assert back.std is not None and lens.std is not None and turned.std is not None
     np.testing.assert_allclose(back.vector, lens.vector, atol=1e-12)
     assert (back.width, back.std.tolist()) == (640, lens.std.tolist())
     assert turned.std[0] == (2.0 if upright.quarters % 2 else 1.0)  # fx's doubt is fy's now
@@ -47,4 +48,5 @@ def test_a_board_filmed_with_pixels_that_are_not_square():
     K = np.diag([0.75, 1.0, 1.0]) @ truth.intrinsics.K
     np.testing.assert_allclose(found.intrinsics.K, K, rtol=1e-9)
     assert found.terms == truth.terms and (found.intrinsics.width, found.intrinsics.height) == size
+    assert found.intrinsics.std is not None and truth.intrinsics.std is not None
     assert found.intrinsics.std[0] == pytest.approx(0.75 * truth.intrinsics.std[0])
