@@ -79,7 +79,7 @@ def projection_of(said: Iterable[Projection | None], pictures: Sequence[Picture]
 def projection_faults(kind: Projection | None, source: str = "") -> list[Measure]:
     """What to say of a camera with such pictures, of the file or folder `source`."""
     facts = {"source": source}
-    return [] if kind is None else [Measure("not-one-lens", WORDS[kind], why=kind, facts=facts, found="fail")]
+    return [] if kind is None else [Measure("coding", WORDS[kind], why=kind, facts=facts, found="fail")]
 
 
 def _small(picture: Picture) -> Grey:

@@ -202,7 +202,7 @@ STAGES = (
         ),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),
-        rooms=(*TRAINED, "calibration/clocks", "calibration/features.py"),
+        rooms=(*TRAINED, "calibration/clocks"),
         plug_ins=_flow_method,
     ),
     Stage(

@@ -134,7 +134,7 @@ def test_clips_and_photos_are_told_by_all_commands(make_clip, tmp_path, kind):
         extract_folder(folder, tmp_path, "b", "sweep", "photos").faults,
         planned_frames(look, "sweep", "a.mp4").faults,
     ]
-    whys = [[f.why for f in faults if f.code == "not-one-lens"] for faults in found]
+    whys = [[f.why for f in faults if f.code == "coding"] for faults in found]
     assert whys == [[kind] if kind else []] * 3
     roles = guess_roles([Seen(look, "a.mp4", steadiness(look.greys), 0.0)], None)
     assert ("a.mp4" in roles.left) == (kind is not None)
