@@ -7,11 +7,9 @@ them the other turned. `Upright.matrix` and `Upright.points` are the one rule fo
 from dataclasses import dataclass
 from math import atan2, pi
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Shaped
 
-ROTATIONS = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
 EXIF_QUARTERS = {3: 2, 4: 2, 5: 1, 6: 3, 7: 3, 8: 1}
 EXIF_MIRRORED = (2, 4, 5, 7)
 
@@ -77,9 +75,14 @@ class Upright:
 
     def apply(self, picture: Shaped[np.ndarray, "h w *channels"]) -> Shaped[np.ndarray, "h2 w2 *channels"]:
         """The upright picture; the one given where nothing is to be done."""
+        if self.nothing:
+            return picture
+        import cv2  # where no picture is turned, as in a data set, OpenCV need not be there
+
         if self.mirrored:
             picture = cv2.flip(picture, 1)
-        return picture if not self.quarters else cv2.rotate(picture, ROTATIONS[self.quarters])
+        rotations = {1: cv2.ROTATE_90_COUNTERCLOCKWISE, 2: cv2.ROTATE_180, 3: cv2.ROTATE_90_CLOCKWISE}
+        return picture if not self.quarters else cv2.rotate(picture, rotations[self.quarters])
 
 
 def by_exif(orientation: int) -> Upright:

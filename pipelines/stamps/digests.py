@@ -11,8 +11,8 @@ import os
 import re
 import time
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
 from devrf.capture.system.durable import read_json, write_json
@@ -133,8 +133,8 @@ def _entries(paths: list[Path]) -> list[list]:
     """What is remembered of each file; many are read side by side."""
     if len(paths) <= FEW:
         return [_entry(path) for path in paths]
-    with ThreadPool(READERS) as pool:
-        return pool.map(_entry, paths)
+    with ThreadPoolExecutor(READERS) as pool:
+        return list(pool.map(_entry, paths))
 
 
 def _entry(path: Path) -> list:

@@ -125,7 +125,7 @@ def test_a_tight_budget_makes_the_same_pictures_with_less_memory(clips: Path, tm
     """In processes of their own, as if there were 16 cores; the disk is slow, so that all are at work at once."""
     program = (
         "import os, re, sys, time\nfrom pathlib import Path\n"
-        "from devrf.capture import picture_writer\n"
+        "from devrf.capture.ingest import picture_writer\n"
         "os.environ.pop('OMP_NUM_THREADS', None)\n"
         "os.sched_getaffinity = lambda pid: set(range(16))\n"
         "from devrf.pipelines.budget.keep import Budget\nfrom devrf.pipelines.config.load import load_scene\n"
