@@ -58,7 +58,7 @@ class Placed(NamedTuple):
 
     def turned(self, frame: Int[Tensor, " R"]) -> Turned:
         """How rays of these pictures are taken back to rest."""
-        return Turned(self.back.detach(), self.forth.detach(), self.shifts.detach(), frame)
+        return Turned(self.back, self.forth, self.shifts, frame)
 
 
 @dataclass

@@ -1,15 +1,13 @@
 # ruff: noqa: UP018 (float(1.0) makes a variable in a Warp kernel, 1.0 a constant)
 # pyright: reportInvalidTypeForm=false, reportIndexIssue=false, reportCallIssue=false, reportArgumentType=false
 # pyright: reportOperatorIssue=false, reportAttributeAccessIssue=false
-"""March rays through what stands and all parts that move in one launch, and composite pictures of them in another.
+"""March rays through what stands and all parts that move in one launch.
 
 A ray is taken back into each volume's own frame, marched there as march.py does it, and what is found is kept in order
 along the ray: samples near to far, whichever volume they are of. A part costs a ray only where the ray meets its box.
-`march_layers` hands the samples on, to be looked up again and differentiated; `draw_layers` goes on to the mean
-features of each ray, for pictures.
+`march_layers` hands the samples on, one by one; `composite_layers.py` goes on to sums over each ray.
 """
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +22,7 @@ from torch import Tensor
 
 from devrf.reconstruct.kernels.launch import ODD, array, box_arguments, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, Volume, alpha_of, intersect, march, nearest
-from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in, look_up
+from devrf.reconstruct.kernels.trilinear import cell_of, fraction_in
 
 FARTHEST = 1e4  # box units: farther than any sample
 MOST = 256  # samples of a ray that are kept, the nearest: an opaque surface takes about five, rays along one up to 120
@@ -159,14 +157,14 @@ def march_layers(
     if not use_warp(rays_o.device):
         return march_layers_ref(stands, parts, turned, rays_o, rays_d, near, jitter)
     R, device = len(rays_o), rays_o.device
-    marched = _marched(stands, parts, turned, rays_o, rays_d, near, jitter)
+    sampled = marched(stands, parts, turned, rays_o, rays_d, near, jitter)
     offsets = torch.zeros(R + 1, dtype=torch.int64, device=device)
-    torch.cumsum(marched.counts, 0, out=offsets[1:])
+    torch.cumsum(sampled.counts, 0, out=offsets[1:])
     S = int(offsets[-1])
     ray_id, part = (torch.empty(S, dtype=torch.int64, device=device) for _ in range(2))
     t, x, towards = (torch.empty(S, *shape, device=device) for shape in ((), (3,), (3,)))
     outputs = [array(ray_id), array(t), array(part), array(x, wp.vec3), array(towards, wp.vec3)]
-    launch(_pack, R, [*marched.rays, *marched.table[:2], array(offsets), *outputs], device)
+    launch(_pack, R, [*sampled.rays, *sampled.table[:2], array(offsets), *outputs], device)
     return LayerSamples(ray_id, t, part, x, towards, offsets)
 
 
@@ -194,93 +192,19 @@ def march_layers_ref(
     return LayerSamples(ray_id[order], t[order], part[order], x[order], towards[order], offsets)
 
 
-class Light(NamedTuple):
-    """How brightness changes (`shading.py`): its grid and box, and where among its moments each picture is."""
-
-    grid: Float[Tensor, "2 T X Y Z"]
-    aabb: Float[Tensor, "2 3"]
-    moment: Float[Tensor, " F"]
-
-
-class Drawn(NamedTuple):
-    """Rays as they are composited.
-
-    Attributes:
-        features: Of their samples that count, weighted and added up.
-        light: The same of the logarithm of brightness.
-        opacity: Sum of the weights that count.
-        left: Transmittance.
-        depth: Weighted distance.
-    """
-
-    features: Float[Tensor, "R C"]
-    light: Float[Tensor, " R"]
-    opacity: Float[Tensor, " R"]
-    left: Float[Tensor, " R"]
-    depth: Float[Tensor, " R"]
-
-
-@torch.no_grad()
-def draw_layers(
-    stands: Volume,
-    parts: Packed,
-    turned: Turned,
-    features: Float[Tensor, "X Y Z C"],
-    own: tuple[Float[Tensor, "X Y Z 1"], Float[Tensor, "X Y Z C"]],
-    light: Light | None,
-    rays_o: Float[Tensor, "R 3"],
-    rays_d: Float[Tensor, "R 3"],
-    near: float,
-    jitter: Float[Tensor, " R"],
-    counts_from: float,
-) -> Drawn:
-    """March and composite (Warp only). Arguments as `march_layers`'s, and:
-
-    Args:
-        features: Of what stands.
-        own: Density and features of all parts, on the same grid.
-        light: How brightness changes; None: not at all.
-        counts_from: Weight from which a sample is seen.
-    """
-    R, device, channels = len(rays_o), rays_o.device, features.shape[3]
-    corners = corners_and_scale(stands)
-    vec, kernel = _composed(channels)
-    if light is None:
-        none = rays_o.new_zeros(1)
-        shown = [array(none), wp.vec4(), wp.vec3(), wp.vec3(), array(none)]
-    else:
-        moments, *shape = light.grid.shape[1:]
-        lo, scale = box_arguments(light.aabb, (shape[0], shape[1], shape[2]))
-        sizes = wp.vec4(float(moments), *map(float, shape))
-        shown = [
-            *(array(light.grid.reshape(-1)), sizes, wp.vec3(*lo), wp.vec3(*scale)),
-            array(light.moment),
-        ]
-    out = Drawn(rays_o.new_empty(R, channels), *rays_o.new_empty(4, R))
-    marched = _marched(stands, parts, turned, rays_o, rays_d, near, jitter)
-    arguments = [
-        *marched.rays,
-        *(array(stands.density.reshape(-1)), wp.vec3i(*stands.density.shape)),
-        *(wp.vec3(*corners[0]), wp.vec3(*corners[2]), vec5(*rules_of(stands)), *marched.table),
-        *(array(features, vec), array(own[0].reshape(-1)), array(own[1], vec)),
-        *shown,
-        *(counts_from, array(out.features, vec), *(array(x) for x in out[1:])),
-    ]
-    launch(kernel, R, arguments, device)
-    return out
-
-
-class _Marched(NamedTuple):
-    """Arguments of kernels that follow the march: of rays and their pictures; what was found, with its counts."""
+class Marched(NamedTuple):
+    """Arguments of kernels that follow the march: of rays and their pictures; what was found, its counts and size."""
 
     rays: list[Any]
     table: list[Any]
     counts: Tensor
+    size: tuple[int, int]
 
 
-def _marched(
+@torch.no_grad()
+def marched(
     stands: Volume, parts: Packed, turned: Turned, rays_o: Tensor, rays_d: Tensor, near: float, jitter: Tensor
-) -> _Marched:
+) -> Marched:
     """Distances and parts of the samples of each ray, sample by sample: what is not needed is never touched."""
     R, device = len(rays_o), rays_o.device
     ts, found = (torch.empty(MOST, R + ODD, dtype=k, device=device) for k in (torch.float32, torch.int32))
@@ -301,7 +225,7 @@ def _marched(
         *(array(parts.spheres(turned).contiguous(), wp.vec4), *table),
     ]
     launch(_march, R, arguments, device)
-    return _Marched([o, d, frame, back, shifts], table, counts)
+    return Marched([o, d, frame, back, shifts], table, counts, (MOST, R + ODD))
 
 
 @wp.func
@@ -499,102 +423,3 @@ def _pack(
         part[s] = wp.int64(m + 1)
         x[s] = place
         towards[s] = d
-
-
-@wp.func
-@no_type_check
-def light_at(
-    grid: wp.array(dtype=float),
-    sizes: wp.vec4,
-    lo: wp.vec3,
-    scale: wp.vec3,
-    layer: int,
-    moment: float,
-    x: wp.vec3,
-) -> float:
-    """Logarithm of brightness at a place of a layer, linear in place and time, held to the borders."""
-    shape = wp.vec3i(int(sizes[1]), int(sizes[2]), int(sizes[3]))
-    volume = shape[0] * shape[1] * shape[2]
-    q = wp.cw_mul(x - lo, scale)
-    k = cell_of(moment, int(sizes[0]))
-    first = (layer * int(sizes[0]) + k) * volume
-    a = density_at(grid, first, shape, q)
-    return wp.lerp(a, density_at(grid, first + volume, shape, q), fraction_in(moment, k))
-
-
-@functools.cache
-def _composed(channels: int) -> Any:
-    vec = wp.types.vector(length=channels, dtype=wp.float32)
-
-    @wp.kernel(enable_backward=False, module="unique")
-    @no_type_check
-    def composed(
-        start: int,
-        rays_o: wp.array(dtype=wp.vec3),
-        rays_d: wp.array(dtype=wp.vec3),
-        frame: wp.array(dtype=wp.int64),
-        back: wp.array2d(dtype=wp.mat33),
-        shifts: wp.array2d(dtype=wp.vec3),
-        density: wp.array(dtype=float),
-        shape: wp.vec3i,
-        lo: wp.vec3,
-        scale: wp.vec3,
-        rules: vec5,
-        ts: wp.array2d(dtype=float),
-        found: wp.array2d(dtype=wp.int32),
-        counts: wp.array(dtype=wp.int32),
-        features: wp.array3d(dtype=vec),
-        own_density: wp.array(dtype=float),
-        own_features: wp.array3d(dtype=vec),
-        light: wp.array(dtype=float),
-        light_sizes: wp.vec4,
-        light_lo: wp.vec3,
-        light_scale: wp.vec3,
-        moment: wp.array(dtype=float),
-        counts_from: float,
-        out_features: wp.array(dtype=vec),
-        out_light: wp.array(dtype=float),
-        out_opacity: wp.array(dtype=float),
-        out_left: wp.array(dtype=float),
-        out_depth: wp.array(dtype=float),
-    ):
-        r = start + wp.tid()
-        f = int(frame[r])
-        left = float(1.0)
-        depth = float(0.0)
-        opacity = float(0.0)
-        bright = float(0.0)
-        mean = vec()
-        for s in range(counts[r]):
-            t = ts[s, r]
-            m = found[s, r] - 1
-            x = rays_o[r] + rays_d[r] * t
-            raw = float(0.0)
-            if m >= 0:
-                x = back[f, m] * (x - shifts[f, m])
-            q = wp.cw_mul(x - lo, scale)
-            if m >= 0:
-                raw = density_at(own_density, 0, shape, q)
-            else:
-                raw = density_at(density, 0, shape, q)
-            alpha = alpha_of(raw + rules[0], rules[1])
-            weight = left * alpha
-            left *= 1.0 - alpha
-            depth += weight * t
-            if weight > counts_from:
-                if m >= 0:
-                    mean += look_up(own_features, q) * weight
-                else:
-                    mean += look_up(features, q) * weight
-                opacity += weight
-                if light_sizes[0] > 0.0:
-                    bright += weight * light_at(
-                        light, light_sizes, light_lo, light_scale, wp.where(m >= 0, 1, 0), moment[f], x
-                    )
-        out_features[r] = mean
-        out_light[r] = bright
-        out_opacity[r] = opacity
-        out_left[r] = left
-        out_depth[r] = depth
-
-    return vec, composed

@@ -170,6 +170,33 @@ def scatter(grid: wp.array3d(dtype=Any), q: wp.vec3, g: Any):
     wp.atomic_add(grid, i + 1, j + 1, k + 1, g * (x * y * z))
 
 
+@wp.func
+@no_type_check
+def dotted_slope(grid: wp.array3d(dtype=Any), q: wp.vec3, g: Any) -> wp.vec3:
+    """By how much the scalar product of what `look_up` finds with `g` rises with index coordinates."""
+    i = cell_of(q[0], grid.shape[0])
+    j = cell_of(q[1], grid.shape[1])
+    k = cell_of(q[2], grid.shape[2])
+    x = fraction_in(q[0], i)
+    y = fraction_in(q[1], j)
+    z = fraction_in(q[2], k)
+    v000 = wp.dot(grid[i, j, k], g)
+    v001 = wp.dot(grid[i, j, k + 1], g)
+    v010 = wp.dot(grid[i, j + 1, k], g)
+    v011 = wp.dot(grid[i, j + 1, k + 1], g)
+    v100 = wp.dot(grid[i + 1, j, k], g)
+    v101 = wp.dot(grid[i + 1, j, k + 1], g)
+    v110 = wp.dot(grid[i + 1, j + 1, k], g)
+    v111 = wp.dot(grid[i + 1, j + 1, k + 1], g)
+    dx = wp.lerp(wp.lerp(v100 - v000, v101 - v001, z), wp.lerp(v110 - v010, v111 - v011, z), y)
+    dy = wp.lerp(wp.lerp(v010 - v000, v011 - v001, z), wp.lerp(v110 - v100, v111 - v101, z), x)
+    dz = wp.lerp(wp.lerp(v001 - v000, v011 - v010, y), wp.lerp(v101 - v100, v111 - v110, y), x)
+    free = wp.vec3(
+        slope_of(q[0], grid.shape[0]), slope_of(q[1], grid.shape[1]), slope_of(q[2], grid.shape[2])
+    )
+    return wp.cw_mul(wp.vec3(dx, dy, dz), free)
+
+
 @functools.cache
 def _kernels(channels: int) -> tuple[Any, Any, Any]:
     vec = wp.types.vector(length=channels, dtype=wp.float32)
@@ -207,26 +234,6 @@ def _kernels(channels: int) -> tuple[Any, Any, Any]:
         if wants_grid == 1:
             scatter(grid_grad, q, g)
         if wants_points == 1:
-            i = cell_of(q[0], grid.shape[0])
-            j = cell_of(q[1], grid.shape[1])
-            k = cell_of(q[2], grid.shape[2])
-            x = fraction_in(q[0], i)
-            y = fraction_in(q[1], j)
-            z = fraction_in(q[2], k)
-            v000 = wp.dot(grid[i, j, k], g)
-            v001 = wp.dot(grid[i, j, k + 1], g)
-            v010 = wp.dot(grid[i, j + 1, k], g)
-            v011 = wp.dot(grid[i, j + 1, k + 1], g)
-            v100 = wp.dot(grid[i + 1, j, k], g)
-            v101 = wp.dot(grid[i + 1, j, k + 1], g)
-            v110 = wp.dot(grid[i + 1, j + 1, k], g)
-            v111 = wp.dot(grid[i + 1, j + 1, k + 1], g)
-            dx = wp.lerp(wp.lerp(v100 - v000, v101 - v001, z), wp.lerp(v110 - v010, v111 - v011, z), y)
-            dy = wp.lerp(wp.lerp(v010 - v000, v011 - v001, z), wp.lerp(v110 - v100, v111 - v101, z), x)
-            dz = wp.lerp(wp.lerp(v001 - v000, v011 - v010, y), wp.lerp(v101 - v100, v111 - v110, y), x)
-            free = wp.vec3(
-                slope_of(q[0], grid.shape[0]), slope_of(q[1], grid.shape[1]), slope_of(q[2], grid.shape[2])
-            )
-            points_grad[n] = wp.cw_mul(wp.cw_mul(wp.vec3(dx, dy, dz), scale), free)
+            points_grad[n] = wp.cw_mul(dotted_slope(grid, q, g), scale)
 
     return vec, forward, backward

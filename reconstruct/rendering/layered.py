@@ -9,15 +9,12 @@ from torch import Tensor
 from devrf.reconstruct.fields.canonical import Canonical
 from devrf.reconstruct.fields.movers import Movers, Placed
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
+from devrf.reconstruct.kernels.composite_layers import Drawn, Fields, composite_layers
 from devrf.reconstruct.kernels.launch import use_warp
-from devrf.reconstruct.kernels.layers import draw_layers, march_layers
+from devrf.reconstruct.kernels.layers import march_layers
 from devrf.reconstruct.rendering.render import FAINT, Seen
 
 COUNTS = 1e-3  # weight from which a sample has a colour
-
-Grads = tuple[Tensor | None, Tensor | None, Tensor | None, Tensor | None]
-"""Buffers for the gradient: density and features of what stands, then of what moves."""
-NO_GRADS: Grads = (None, None, None, None)
 
 
 class Layered(NamedTuple):
@@ -47,7 +44,7 @@ def render_layered(
     rays_d: Float[Tensor, "R 3"],
     near: float,
     jitter: Float[Tensor, " R"],
-    grads: Grads = NO_GRADS,
+    grads: Fields | None = None,
     counts_from: float = COUNTS,
 ) -> Layered:
     """Colours of rays through what stands and what moves; differentiable in both, in `placed` and in the shading.
@@ -63,16 +60,25 @@ def render_layered(
         grads: Where the gradients of the grids are added.
         counts_from: Weight from which a sample has a colour.
     """
-    rays = len(rays_o)
-    turned = placed.turned(frame)
+    rays, turned = len(rays_o), placed.turned(frame)
+    if stands.deferred and use_warp(rays_o.device):
+        own, light = movers.canonical, movers.shading
+        fields = Fields(stands.density, stands.features, own.density, own.features)
+        drawn = composite_layers(
+            stands.volume(), movers.packed(), turned, fields, None if light is None else light.light(placed.times),
+            rays_o, rays_d, near, jitter, counts_from, grads,
+        )  # fmt: skip
+        none = frame.new_zeros(0)
+        return Layered(_seen(stands, drawn, rays_d), drawn.left, drawn.depth, drawn.left[:0], None, none)
+    into = grads or (None,) * 4
     ray_id, t, part, x, samples_d, offsets = march_layers(
         stands.volume(), movers.packed(), turned, rays_o, rays_d, near, jitter
     )
     if placed.rotations.requires_grad:
         x = _taken_back(x, part, placed, frame[ray_id], rays_o[ray_id] + t[:, None] * rays_d[ray_id])
     still, moved = (part == 0).nonzero()[:, 0], (part > 0).nonzero()[:, 0]
-    alpha = torch.zeros_like(t).index_put((still,), stands.alpha(x[still], grads[0]))
-    alpha = alpha.index_put((moved,), movers.canonical.alpha(x[moved], grads[2]))
+    alpha = torch.zeros_like(t).index_put((still,), stands.alpha(x[still], into[0]))
+    alpha = alpha.index_put((moved,), movers.canonical.alpha(x[moved], into[2]))
     weights, left = composite_weights(alpha, offsets)
     with torch.no_grad():
         depth = accumulate(weights, t[:, None], ray_id, rays)[:, 0]
@@ -81,8 +87,8 @@ def render_layered(
     weights = weights[counts]
     still, moved = (part == 0).nonzero()[:, 0], (part > 0).nonzero()[:, 0]
     features = x.new_zeros(len(x), stands.features.shape[3])
-    features = features.index_put((still,), stands.features_at(x[still], grads[1]))
-    features = features.index_put((moved,), movers.canonical.features_at(x[moved], grads[3]))
+    features = features.index_put((still,), stands.features_at(x[still], into[1]))
+    features = features.index_put((moved,), movers.canonical.features_at(x[moved], into[3]))
     light = None
     if movers.shading is not None:
         place = rays_o[ray_id] + t[:, None] * rays_d[ray_id]
@@ -110,21 +116,20 @@ def draw_layered(
     jitter: Float[Tensor, " R"],
     counts_from: float = COUNTS,
 ) -> Seen:
-    """The same for pictures, without gradients; where colours are found once a ray, in two launches and an MLP."""
-    if not stands.deferred or not use_warp(rays_o.device):
-        seen = render_layered(
-            stands, movers, placed, frame, rays_o, rays_d, near, jitter, counts_from=counts_from
-        )
-        return Seen(seen.rgb, seen.left, seen.depth)
-    own, shading = movers.canonical, movers.shading
-    drawn = draw_layers(
-        stands.volume(), movers.packed(), placed.turned(frame), stands.features,
-        (own.density, own.features), None if shading is None else shading.light(placed.times),
-        rays_o, rays_d, near, jitter, counts_from,
-    )  # fmt: skip
+    """The same for pictures, without gradients."""
+    seen = render_layered(
+        stands, movers, placed, frame, rays_o, rays_d, near, jitter, counts_from=counts_from
+    )
+    return Seen(seen.rgb, seen.left, seen.depth)
+
+
+def _seen(stands: Canonical, drawn: Drawn, rays_d: Tensor) -> Float[Tensor, "R 3"]:
+    """Colours of rays that are composited; in pictures only those that meet something are asked for."""
+    sums = drawn.features, drawn.light, drawn.opacity, rays_d
+    if torch.is_grad_enabled():
+        return _by_mean(stands, *sums)
     hit = (drawn.opacity > 0).nonzero()[:, 0]
-    colours = _by_mean(stands, *(x[hit] for x in (drawn.features, drawn.light, drawn.opacity, rays_d)))
-    return Seen(torch.zeros_like(rays_d).index_copy(0, hit, colours), drawn.left, drawn.depth)
+    return torch.zeros_like(rays_d).index_copy(0, hit, _by_mean(stands, *(x[hit] for x in sums)))
 
 
 def _deferred(

@@ -26,6 +26,7 @@ from devrf.reconstruct.fields.grids import GridTrainer, grown
 from devrf.reconstruct.fields.movers import Movers, Placed
 from devrf.reconstruct.fields.pose_corrections import Corrections
 from devrf.reconstruct.fields.shading import Shading
+from devrf.reconstruct.kernels.composite_layers import Fields
 from devrf.reconstruct.options import MotionOptions, longer
 from devrf.reconstruct.rendering.layered import draw_layered, render_layered
 from devrf.reconstruct.rendering.model import Around, DynamicModel
@@ -247,9 +248,8 @@ class _Recipe:
 
     def _losses(self, batch: RayBatch, placed: Placed, around: Around) -> dict[str, Tensor]:
         """Of rays before their surroundings; their gradient goes to the grids and to where parts are."""
-        density, features, own_density, own_features = (grid.grad[0] for grid in self.grids.values())
         jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
-        grads = density, features, own_density, own_features
+        grads = Fields(*(grid.grad[0] for grid in self.grids.values()))
         seen = render_layered(
             self.stands, self.movers, placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
             grads, TRAINS,

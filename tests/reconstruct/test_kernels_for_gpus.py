@@ -14,6 +14,7 @@ from devrf.reconstruct.kernels import (
     adam,
     background,
     composite,
+    composite_layers,
     launch,
     layers,
     march,
@@ -37,7 +38,7 @@ def modules() -> dict[str, Any]:
         _, forward, backward = trilinear._kernels(n)
         made = {"forward": forward, "backward": backward, "masked": adam._masked(n)[1]}
         if n in (3, 12):
-            made["composed"] = layers._composed(n)[1]
+            _, made["composited"], made["adjoint"], made["places"] = composite_layers._kernels(n)
         found |= {f"{name}_{n}": kernel.module for name, kernel in made.items()}
     return found
 

@@ -32,6 +32,7 @@ from devrf.reconstruct.fields.ndc import Ndc
 from devrf.reconstruct.fields.pose_corrections import Corrections
 from devrf.reconstruct.fields.shading import Shading
 from devrf.reconstruct.geometry.field import field_at, moved
+from devrf.reconstruct.kernels.composite_layers import Fields
 from devrf.reconstruct.kernels.layers import march_layers, march_layers_ref
 from devrf.reconstruct.options import PRESETS, MotionOptions
 from devrf.reconstruct.rendering.layered import draw_layered, render_layered
@@ -162,14 +163,14 @@ def test_gradients_are_those_of_differences(rest: RestModel) -> None:
     o, d = (x[300:1500:7].contiguous() for x in camera_rays(look_at(np.array([0.3, 2.4, 0.5]))))
     frame, middle = torch.zeros(len(o), dtype=torch.int64), torch.full((len(o),), 0.5)
     placed = movers.placed(torch.tensor([0.3]))
-    grads = [torch.zeros_like(stands.density), torch.zeros_like(stands.features)]
-    grads += [torch.zeros_like(own.density), torch.zeros_like(own.features)]
+    grids = stands.density, stands.features, own.density, own.features
+    grads = Fields(*(torch.zeros_like(grid) for grid in grids))
 
-    def loss(given: tuple = (None,) * 4) -> torch.Tensor:
-        return render_layered(stands, movers, placed, frame, o, d, 0.5, middle, given).rgb.sum()  # type: ignore[arg-type]
+    def loss(given: Fields | None = None) -> torch.Tensor:
+        return render_layered(stands, movers, placed, frame, o, d, 0.5, middle, given).rgb.sum()
 
-    loss(tuple(grads)).backward()
-    for grid, grad in ((stands.density, grads[0]), (own.density, grads[2])):
+    loss(grads).backward()
+    for grid, grad in ((stands.density, grads.density), (own.density, grads.own_density)):
         at = np.unravel_index(int(grad.abs().argmax()), grad.shape)
         step, values = 0.02, []
         for sign in (1, -1):
@@ -242,23 +243,43 @@ def test_samples_of_all_layers_are_those_of_each_in_order(
         torch.testing.assert_close(few, found.t[found.offsets[r] : found.offsets[r + 1]][:4])
 
 
-@pytest.mark.parametrize("warp", [True, False])
-def test_pictures_are_what_training_sees(
-    rest: RestModel, monkeypatch: pytest.MonkeyPatch, warp: bool
+@pytest.mark.parametrize("soft", [False, True])
+def test_rays_composited_in_one_launch_are_those_of_their_samples(
+    rest: RestModel, monkeypatch: pytest.MonkeyPatch, soft: bool
 ) -> None:
-    monkeypatch.setattr(layered_module, "use_warp", lambda device: warp)
+    """Sums and all gradients; `alone`: pictures, in which only rays that meet something have a colour."""
     rest = replace(rest, canonical=copy.copy(rest.canonical))
     rest.canonical.deferred = True
-    stands, movers, o, d, frame = three_layers(rest, soft=True)
+    stands, movers, o, d, frame = three_layers(rest, soft)
     grid = torch.randn(Shading.none(stands.aabb, 0.1, 0.7, torch.device("cpu")).grid.shape)
-    movers.shading = Shading(stands.aabb * 0.8, 0.1, 0.7, 0.3 * grid)
-    placed, middle = movers.placed(torch.tensor([0.05, 0.6])), torch.full((len(o),), 0.5)
-    drawn = draw_layered(stands, movers, placed, frame, o, d, 0.5, middle)
-    with torch.no_grad():
-        seen = render_layered(stands, movers, placed, frame, o, d, 0.5, middle)
-    assert float((1 - seen.left).mean()) > 0.05
-    for a, b in zip(drawn, (seen.rgb, seen.left, seen.depth), strict=True):
+    movers.shading = light = Shading(stands.aabb * 0.8, 0.1, 0.7, 0.3 * grid)
+    corrections = Corrections(movers, torch.tensor([0.05, 0.6]))
+    middle = torch.full((len(o),), 0.5)
+    by = torch.randn(len(o), 4)
+    grids = stands.density, stands.features, movers.canonical.density, movers.canonical.features
+
+    def seen(warp: bool) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """Results, and gradients of all that is trained."""
+        monkeypatch.setattr(layered_module, "use_warp", lambda device: warp)
+        grads = Fields(*(torch.zeros_like(x) for x in grids))
+        found = render_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle, grads)
+        light.grid.grad = corrections.values.grad = None
+        (by * torch.cat([found.rgb, found.left[:, None]], 1)).sum().backward()
+        assert light.grid.grad is not None and corrections.values.grad is not None
+        return [found.rgb, found.left, found.depth], [*grads, light.grid.grad, corrections.values.grad]
+
+    (ours, our_grads), (theirs, their_grads) = seen(warp=True), seen(warp=False)
+    assert float((1 - ours[1].detach()).mean()) > 0.05
+    for a, b in zip(ours, theirs, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-3, atol=1e-4)
+    for a, b in zip(our_grads, their_grads, strict=True):
+        assert float(b.norm()) > 0
+        assert float((a - b).norm()) < 1e-3 * float(b.norm())
+    for warp in (True, False):
+        monkeypatch.setattr(layered_module, "use_warp", lambda device, warp=warp: warp)
+        alone = draw_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle)
+        for a, b in zip(alone, ours, strict=True):
+            torch.testing.assert_close(a, b.detach(), rtol=1e-3, atol=1e-4)
 
 
 def three_layers(
