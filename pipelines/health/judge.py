@@ -1,5 +1,6 @@
 """The judge: measures of a stage become rows, by the one table of what is good enough and what to do (`table.yaml`)."""
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -11,6 +12,7 @@ import yaml
 
 from devrf.capture.measure import Measure, Verdict
 
+log = logging.getLogger(__name__)
 TABLE = Path(__file__).with_name("table.yaml")
 Bounds = Sequence[float | int | None]  # from where on it warns, and fails
 
@@ -85,8 +87,11 @@ def warns_at(code: str) -> float:
 def judge(measures: Iterable[Measure]) -> list[HealthRow]:
     """A row for each measure; what could not be measured is a warning.
 
+    A fact that a remedy asks for and that is missing is a fault of the program: it is logged, and the remedy stands as
+    the table has it, since a stage's work is not to be lost for it.
+
     Raises:
-        KeyError: A code or a reason that the table does not have, or a fact that its remedy asks for.
+        KeyError: A code or a reason that the table does not have.
     """
     return [_row(measure, entries()[measure.code]) for measure in measures]
 
@@ -102,9 +107,18 @@ def _row(m: Measure, entry: Entry) -> HealthRow:
     remedy = ""
     if verdict != "ok":
         text = entry.remedy if isinstance(entry.remedy, str) else entry.remedy[m.why]
-        remedy = text.strip().format_map({"about": m.about, "value": value, **m.facts})
+        remedy = _filled(text.strip(), m, value)
         remedy = f"not measured. {remedy}" if value is None else remedy
     return HealthRow(m.code, entry.check, value, entry.unit, warn, fail, verdict, remedy, m.about)
+
+
+def _filled(text: str, m: Measure, value: float | str | None) -> str:
+    """A remedy with the facts of its measure."""
+    try:
+        return text.format_map({"about": m.about, "value": value, **m.facts})
+    except (KeyError, ValueError, TypeError) as error:
+        log.error("%s: its remedy cannot be filled in (%r)", m.code, error)
+        return text
 
 
 def _judged(

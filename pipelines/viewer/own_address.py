@@ -46,9 +46,12 @@ def refusal(host: str | None, origin: str | None, names: Collection[str]) -> str
     remedy = "if it should be, start it with --allow-host"
     if name is None or not (name in own or _number(name) is not None):
         return f"Host {host}: is not this viewer's; {remedy} {name or 'NAME'}"
-    if origin is None or urlsplit(origin).netloc == host or _name(origin) in named:
+    if origin is None:
         return None
-    return f"Origin {origin}: is not this viewer's page; {remedy} {_name(origin) or 'NAME'}"
+    page = _name(origin)
+    if page is not None and (urlsplit(origin).netloc == host or page in named):
+        return None
+    return f"Origin {origin}: is not this viewer's page; {remedy} {page or 'NAME'}"
 
 
 @contextmanager

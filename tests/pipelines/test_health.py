@@ -155,6 +155,11 @@ def test_what_is_no_number_and_bounds_that_are_measured(
     assert row.remedy.startswith("not measured. ") == (value is None)
 
 
+def test_a_missing_fact_costs_no_result(caplog: pytest.LogCaptureFixture) -> None:
+    (row,) = judge([Measure("sweep-points", 50)])  # its remedy names the pictures
+    assert row.verdict == "warn" and "{poor}" in row.remedy and "sweep-points" in caplog.text
+
+
 def test_the_worst_of_several() -> None:
     found = {"a": 1.0, "b": 3.0, "c": float("nan")}
     assert (highest("x", found, 100).value, highest("x", found).about) == (300.0, "b")

@@ -106,6 +106,7 @@ def test_it_reads_only_and_ends_at_once(odd_scene: Scene, tmp_path: Path, sign: 
         ("localhost:8080", "http://evil.example", False),
         ("localhost:8080", "http://localhost:3000", False),
         ("localhost:8080", "null", False),
+        ("localhost:8080", "http://[", False),  # no address at all
         ("[", None, False),
         ("", None, False),
         (None, None, False),
