@@ -7,6 +7,7 @@ from scipy.spatial.distance import cdist
 from devrf.lab.simulate.scenes.bodies import TABLE_TOP_M
 from devrf.lab.simulate.scenes.catalogue import (
     CENTRE,
+    PLATFORM_M,
     ROOM_HALF_M,
     ROOM_HEIGHT_M,
     WALLS,
@@ -21,8 +22,10 @@ from devrf.lab.simulate.scenes.objects import OBJECTS, SHEET_HEIGHT_M, SHEET_TOP
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.scenes.shapes import ball, rounded_box
 from devrf.lab.simulate.session.camera_rig import fixed_cameras, sweep_cameras
+from devrf.lab.simulate.session.session_files import swaying
 
 TIMES_S = np.linspace(0.05, 2.5, 12)
+PEOPLE = ("kicking", "hiding", "pair", "placing")
 RIGID = ("tumble", "leaving", "rod")
 KINDS = [name for name in OBJECTS if name != "changing"] + list(CHANGES)
 
@@ -61,7 +64,7 @@ def test_motion_is_not_rigid(name: str) -> None:
     assert left_m.max() > 0.02
 
 
-@pytest.mark.parametrize("name", ["sheet", "blocks", "figure", "plant", "leaving", "rod"])
+@pytest.mark.parametrize("name", ["sheet", "blocks", "figure", "plant", "leaving", "rod", *PEOPLE])
 def test_motion_scale_zero_stays_at_rest(name: str) -> None:
     thing = make_object(name, np.random.default_rng(0), SessionOptions(motion_scale=0))
     np.testing.assert_array_equal(thing.vertices_at(1.7), thing.rest.vertices)
@@ -189,6 +192,64 @@ def test_a_hand_of_the_figure_is_at_its_thigh_at_rest_and_leaves_it() -> None:
         thigh, forearm = parts[4], parts[8]
         distances.append(cdist(thigh, forearm).min())
     assert distances[0] < 0.02 < 0.05 < distances[1]
+
+
+def test_a_kick_is_fast_and_the_leg_comes_back_slowly() -> None:
+    thing = make_object("kicking", np.random.default_rng(0), SessionOptions())
+    times_s = np.arange(0.0, 2.4, 0.05)
+    shoe_m = np.stack([_parts(thing, t)[11].mean(0) for t in times_s])
+    speed_m_s = np.linalg.norm(np.diff(shoe_m, axis=0), axis=1) / 0.05
+    fastest = float(times_s[speed_m_s.argmax()])
+    assert 0.45 < fastest < 0.8 and speed_m_s.max() > 2.5
+    assert speed_m_s[times_s[:-1] > 0.9].max() < 0.5 * speed_m_s.max()
+
+
+def test_a_hidden_forearm_is_behind_the_back_and_comes_back_turned() -> None:
+    thing = make_object("hiding", np.random.default_rng(0), SessionOptions())
+    trunk, before, hidden, after = (
+        _parts(thing, t)[n] for t, n in ((0.0, 1), (0.0, 13), (1.1, 13), (2.0, 13))
+    )
+    assert before[:, 0].max() > trunk[:, 0].max()  # before it, as the fixed cameras look
+    assert np.median(hidden[:, 0]) < trunk[:, 0].mean()  # the hand, not the elbow
+    assert np.linalg.norm(after - before, axis=1).max() > 0.05  # other sides are seen
+
+
+def test_a_cube_is_where_the_hand_puts_it() -> None:
+    thing = make_object("placing", np.random.default_rng(0), SessionOptions())
+    at = {t: _parts(thing, t) for t in (0.0, 0.3, 1.2, 1.8, 2.6)}
+    cube = {t: parts[14] for t, parts in at.items()}
+    np.testing.assert_array_equal(cube[0.0], cube[0.3])
+    np.testing.assert_allclose(cube[1.8], cube[2.6], atol=1e-9)
+    assert cube[1.2][:, 2].min() > cube[0.0][:, 2].min() + 0.05  # it is carried
+    assert abs(cube[2.6][:, 2].min() - cube[0.0][:, 2].min()) < 0.01  # and stands as high as before
+    gaps = {t: cdist(parts[13], cube[t]).min() for t, parts in at.items()}
+    # distances of vertices: those of the cube are at its edges
+    assert max(gaps[1.2], gaps[1.8]) < 0.05 and gaps[2.6] > gaps[1.8] + 0.03
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_people_stand_on_the_platform(name: str) -> None:
+    thing = make_object(name, np.random.default_rng(0), SessionOptions())
+    for time_s in (0.0, 1.0, 2.2):
+        assert abs(thing.vertices_at(time_s)[:, 2].min() - PLATFORM_M) < 0.03
+
+
+def test_who_sways_stands_firm_and_is_at_rest_for_the_fixed_cameras() -> None:
+    thing = make_object("pair", np.random.default_rng(0), SessionOptions())
+    moved = swaying(thing.rest, 0.8, 0.02).vertices - thing.rest.vertices
+    z = thing.rest.vertices[:, 2]
+    assert np.abs(moved[z == z.min()]).max() == 0 and 0.015 < np.abs(moved[z == z.max()]).max() < 0.021
+    assert swaying(thing.rest, 0.8, 0.0) is thing.rest
+
+
+def _parts(thing: MovingObject, time_s: float) -> list[np.ndarray]:
+    """Trunk, chest, neck and head; of the left and of the right side thigh, shin, shoe, upper and forearm; the rest."""
+    of_box, _, of_limb, of_ball, *_ = _figure_sizes(
+        make_object("kicking", np.random.default_rng(0), SessionOptions())
+    )
+    side = [of_limb, of_limb, of_box, of_limb, of_limb]
+    sizes = np.cumsum([of_box, of_box, of_limb, of_ball, *side, *side, of_box])
+    return np.split(thing.vertices_at(time_s), sizes)
 
 
 def _figure_sizes(thing: MovingObject) -> list[int]:

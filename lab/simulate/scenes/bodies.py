@@ -1,13 +1,13 @@
 """Objects of several bodies, each with a motion of its own.
 
-Blocks that push each other, a person who walks, a plant, an aircraft that leaves and comes back, a rod.
+Blocks that push each other, a plant, an aircraft that leaves and comes back, a rod. Persons are in `people.py`.
 
 Each stands on the platform of the room of `scenes`. `motion_scale` multiplies every way and every angle; the times
 below are seconds since the motion begins, at a motion_speed of 1.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,14 +28,7 @@ from devrf.lab.simulate.scenes.shapes import (
 )
 
 RED, BLUE, SAND = Paint((190, 75, 60), 75.0), Paint((70, 110, 175), 75.0), Paint((200, 165, 90), 80.0)
-SKIN = Paint((205, 155, 125), 45.0)
-SHIRT = Paint((85, 135, 105), 75.0)
-TROUSERS = Paint((80, 90, 135), 70.0)
-SHOE = Paint((95, 70, 60), 50.0)
 TABLE_TOP_M = 0.62
-STEPS_HZ = 1.2  # of the walking figure, both feet once
-STRIDE_DEG, LIFT_DEG = 36.0, 55.0  # thighs swing, knees bend: feet reach 4 m/s
-WALK_M_S = 0.22
 OUT_AND_BACK_S = 2.0
 FAR_M = 1.5
 FINE = 3.0  # shapes are made this much larger and shrunk: their textures are made for things of two metres
@@ -61,160 +54,11 @@ def blocks(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
         return shift(0.05, y + rolled_m, TABLE_TOP_M + ball_m) @ turn("x", -np.degrees(rolled_m / ball_m))
 
     parts = [
-        rigid(_box(rng, tuple(size.tolist()), RED, 0.012), first),
-        rigid(_box(rng, tuple(size.tolist()), BLUE, 0.012), second),
-        rigid(_ball(rng, SAND, ball_m), rolling),
+        rigid(fine_box(rng, tuple(size.tolist()), RED, 0.012), first),
+        rigid(fine_box(rng, tuple(size.tolist()), BLUE, 0.012), second),
+        rigid(fine_ball(rng, SAND, ball_m), rolling),
     ]
-    return _object(parts, _table(rng, options, (0.6, 1.1)))
-
-
-def figure(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
-    """A person of 1.2 m who walks across the platform and turns, a hand on the thigh at rest."""
-    scale = options.motion_scale
-
-    def swing(time: float, phase: Number) -> float:
-        grown = ease(time, 0.0, 0.3)
-        return scale * grown * float(np.sin(2 * np.pi * (STEPS_HZ * max(time, 0.0) + phase)))
-
-    def hip(time: float) -> Pose:
-        forward = scale * WALK_M_S * max(time, 0.0) * ease(time, 0.0, 0.3)
-        bob = 0.015 * abs(swing(time, 0.25))
-        pose = shift(0.02, -0.26 + forward, PLATFORM_M + 0.62 + bob)
-        return pose @ turn("z", 90 + 8 * swing(time, 0.0) + 12 * scale * ease(time, 1.0, 2.4))
-
-    def chest(time: float) -> Pose:
-        return (
-            hip(time)
-            @ shift(0, 0, 0.15)
-            @ turn("z", -16 * swing(time, 0.0))
-            @ turn("y", 5 * swing(time, 0.3))
-        )
-
-    def thigh(side: int) -> Callable[[float], Pose]:
-        phase = 0.0 if side > 0 else 0.5
-        return lambda t: hip(t) @ shift(0, 0.075 * side, -0.01) @ turn("y", -STRIDE_DEG * swing(t, phase))
-
-    def shin(side: int) -> Callable[[float], Pose]:
-        phase, upper = (0.25 if side > 0 else 0.75), thigh(side)
-
-        def pose(time: float) -> Pose:
-            return upper(time) @ shift(0, 0, -0.29) @ turn("y", LIFT_DEG * max(swing(time, phase), 0.0))
-
-        return pose
-
-    def upper_arm(side: int) -> Callable[[float], Pose]:
-        """Arms swing against the legs; the left hand rests on its thigh and leaves it with the first step."""
-        phase = 0.5 if side > 0 else 0.0
-        out_deg = 11.0 if side > 0 else 20.0
-
-        def pose(time: float) -> Pose:
-            lifted = out_deg + (14 * scale * ease(time, 0.1, 0.6) if side > 0 else 0.0)
-            return (
-                chest(time)
-                @ shift(0, 0.135 * side, 0.21)
-                @ turn("x", lifted * side)
-                @ turn("y", -32 * swing(time, phase))
-            )
-
-        return pose
-
-    def forearm(side: int) -> Callable[[float], Pose]:
-        upper = upper_arm(side)
-        bend_deg = 14.0 if side > 0 else 24.0
-
-        def pose(time: float) -> Pose:
-            bent_deg = bend_deg + 30 * scale * ease(time, 0.1, 0.6)
-            return upper(time) @ shift(0, 0, -0.2) @ turn("x", -17.0 * side) @ turn("y", -bent_deg)
-
-        return pose
-
-    return _person(
-        rng, Joints(hip, chest, lambda t: chest(t) @ shift(0, 0, 0.32), thigh, shin, upper_arm, forearm)
-    )
-
-
-def gesturing(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
-    """A person of 1.2 m who stands and talks with the hands: arms rise and come back, the head turns."""
-    scale = options.motion_scale
-
-    def wave(time: float, hz: float, phase: float = 0.0) -> float:
-        """From 0 to 1 and back, at a rate."""
-        return scale * (0.5 - 0.5 * float(np.cos(2 * np.pi * hz * max(time - phase, 0.0))))
-
-    def hip(time: float) -> Pose:
-        return shift(0.02, 0.0, PLATFORM_M + 0.62) @ turn("z", 90 + 3 * wave(time, 0.5))
-
-    def chest(time: float) -> Pose:
-        return hip(time) @ shift(0, 0, 0.15) @ turn("y", 4 * wave(time, 0.6)) @ turn("z", 6 * wave(time, 0.5))
-
-    def head(time: float) -> Pose:
-        return chest(time) @ shift(0, 0, 0.32) @ turn("z", 30 * (wave(time, 0.7) - wave(time, 0.5, 0.6)))
-
-    def thigh(side: int) -> Callable[[float], Pose]:
-        return lambda t: hip(t) @ shift(0, 0.075 * side, -0.01) @ turn("z", -3 * wave(t, 0.5))
-
-    def shin(side: int) -> Callable[[float], Pose]:
-        upper = thigh(side)
-        return lambda t: upper(t) @ shift(0, 0, -0.29)
-
-    def upper_arm(side: int) -> Callable[[float], Pose]:
-        hz, phase = (0.8, 0.0) if side > 0 else (0.6, 0.15)
-
-        def pose(time: float) -> Pose:
-            risen = wave(time, hz, phase)
-            place = chest(time) @ shift(0, 0.135 * side, 0.21) @ turn("x", (10 + 30 * risen) * side)
-            return place @ turn("y", -50 * risen)
-
-        return pose
-
-    def forearm(side: int) -> Callable[[float], Pose]:
-        upper = upper_arm(side)
-        hz, phase = (1.1, 0.1) if side > 0 else (0.9, 0.2)
-
-        def pose(time: float) -> Pose:
-            return upper(time) @ shift(0, 0, -0.2) @ turn("y", -15 - 80 * wave(time, hz, phase))
-
-        return pose
-
-    return _person(rng, Joints(hip, chest, head, thigh, shin, upper_arm, forearm))
-
-
-@dataclass(frozen=True)
-class Joints:
-    """Where the parts of a person are at a time; of limbs, those of the left (1) and of the right side (-1).
-
-    The head's is the neck.
-    """
-
-    hip: Callable[[float], Pose]
-    chest: Callable[[float], Pose]
-    neck: Callable[[float], Pose]
-    thigh: Callable[[int], Callable[[float], Pose]]
-    shin: Callable[[int], Callable[[float], Pose]]
-    upper_arm: Callable[[int], Callable[[float], Pose]]
-    forearm: Callable[[int], Callable[[float], Pose]]
-
-
-def _person(rng: np.random.Generator, joints: Joints) -> MovingObject:
-    parts = [
-        rigid(_box(rng, (0.15, 0.24, 0.22), TROUSERS, 0.06), lambda t: joints.hip(t) @ shift(0, 0, 0.03)),
-        rigid(_box(rng, (0.16, 0.27, 0.3), SHIRT, 0.07), lambda t: joints.chest(t) @ shift(0, 0, 0.1)),
-        rigid(_limb(rng, SKIN, 0.09, 0.045, 0.045), joints.neck),
-        rigid(_ball(rng, SKIN, 0.085), lambda t: joints.neck(t) @ shift(0.01, 0, 0.07)),
-    ]
-    for side in (1, -1):
-        shin = joints.shin(side)
-        parts += [
-            rigid(_limb(rng, TROUSERS, 0.29, 0.07, 0.055), joints.thigh(side)),
-            rigid(_limb(rng, TROUSERS, 0.27, 0.055, 0.04), shin),
-            rigid(
-                _box(rng, (0.19, 0.08, 0.07), SHOE, 0.03),
-                lambda t, shin=shin: shin(t) @ shift(0.045, 0, -0.285),
-            ),
-            rigid(_limb(rng, SHIRT, 0.2, 0.047, 0.04), joints.upper_arm(side)),
-            rigid(_limb(rng, SKIN, 0.2, 0.038, 0.032), joints.forearm(side)),
-        ]
-    return _object(parts, [])
+    return as_object(parts, table(rng, options, (0.6, 1.1)))
 
 
 def plant(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
@@ -230,7 +74,7 @@ def plant(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
 
         return Part(replace(part.rest, vertices=vertices_at(0.0)), vertices_at)
 
-    return _object([grown(part) for part in model], _table(rng, options, (0.7, 0.9)))
+    return as_object([grown(part) for part in model], table(rng, options, (0.7, 0.9)))
 
 
 def leaving(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
@@ -245,17 +89,17 @@ def leaving(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
             pose @ turn("x", -18 * gone * (1 if time < OUT_AND_BACK_S / 2 else -1)) @ turn("z", 40 * landed)
         )
 
-    parts = [rigid(_box(rng, (0.22, 0.22, 0.16), RED, 0.05), at)]
+    parts = [rigid(fine_box(rng, (0.22, 0.22, 0.16), RED, 0.05), at)]
     for k in range(4):
         angle = np.radians(45 + 90 * k)
         x, y = 0.2 * np.cos(angle), 0.2 * np.sin(angle)
-        rotor = _box(rng, (0.16, 0.16, 0.03), (BLUE, SAND)[k % 2], 0.015)
-        bar = _box(rng, (0.2, 0.04, 0.04), WOOD, 0.015)
+        rotor = fine_box(rng, (0.16, 0.16, 0.03), (BLUE, SAND)[k % 2], 0.015)
+        bar = fine_box(rng, (0.2, 0.04, 0.04), WOOD, 0.015)
         parts.append(rigid(rotor, lambda t, x=x, y=y: at(t) @ shift(x, y, 0.05)))
         parts.append(
             rigid(bar, lambda t, x=x, y=y, k=k: at(t) @ shift(x / 2, y / 2, 0.03) @ turn("z", 45 + 90 * k))
         )
-    return _object(parts, _table(rng, options, (0.7, 0.9)))
+    return as_object(parts, table(rng, options, (0.7, 0.9)))
 
 
 def rod(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
@@ -272,10 +116,10 @@ def rod(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
     contrast = options.texture_contrast
     post = box(rng, np.array([-0.3, 0.0, 0.9]), np.array([0.04, 0.04, 1.1]), 0.0, contrast, WOOD)
     beam = box(rng, np.array([-0.14, 0.0, 1.43]), np.array([0.36, 0.04, 0.04]), 0.0, contrast, WOOD)
-    return _object([rigid(_limb(rng, SAND, length_m, 0.015, 0.015), at)], [*post, *beam])
+    return as_object([rigid(limb(rng, SAND, length_m, 0.015, 0.015), at)], [*post, *beam])
 
 
-def _object(parts: Sequence[Part], stand: Sequence[Mesh]) -> MovingObject:
+def as_object(parts: Sequence[Part], stand: Sequence[Mesh]) -> MovingObject:
     """The parts as one mesh; their textures lie one above the other in one picture."""
     meshes = [part.rest for part in parts]
     width = max(mesh.texture.shape[1] for mesh in meshes)
@@ -302,7 +146,7 @@ def _object(parts: Sequence[Part], stand: Sequence[Mesh]) -> MovingObject:
     return MovingObject(rest, vertices_at, tuple(stand))
 
 
-def _limb(rng: np.random.Generator, paint: Paint, length_m: Number, top_m: Number, end_m: Number) -> Mesh:
+def limb(rng: np.random.Generator, paint: Paint, length_m: Number, top_m: Number, end_m: Number) -> Mesh:
     """A round limb that hangs down from the origin, with radii at its top and its end."""
     low, high = np.linspace(-np.pi / 2, 0, 8), np.linspace(0, np.pi / 2, 8)
     r = np.concatenate([end_m * np.cos(low), top_m * np.cos(high)]) * FINE
@@ -310,14 +154,16 @@ def _limb(rng: np.random.Generator, paint: Paint, length_m: Number, top_m: Numbe
     return _shrunk(turned(rng, paint, [(float(a), float(b)) for a, b in zip(r, z, strict=True)]))
 
 
-def _box(
+def fine_box(
     rng: np.random.Generator, size_m: tuple[Number, Number, Number], paint: Paint, radius_m: Number
 ) -> Mesh:
+    """A rounded box, its texture as fine as a small thing's."""
     x, y, z = (FINE * side for side in size_m)
     return _shrunk(rounded_box(rng, (x, y, z), paint, FINE * radius_m))
 
 
-def _ball(rng: np.random.Generator, paint: Paint, radius_m: Number) -> Mesh:
+def fine_ball(rng: np.random.Generator, paint: Paint, radius_m: Number) -> Mesh:
+    """The same for a ball."""
     return _shrunk(ball(rng, paint, FINE * radius_m))
 
 
@@ -325,7 +171,14 @@ def _shrunk(mesh: Mesh) -> Mesh:
     return replace(mesh, vertices=mesh.vertices / FINE)
 
 
-def _table(rng: np.random.Generator, options: SessionOptions, size_m: tuple[Number, Number]) -> list[Mesh]:
-    size = np.array([*size_m, TABLE_TOP_M - PLATFORM_M])
-    middle = np.array([0.0, 0.0, (TABLE_TOP_M + PLATFORM_M) / 2])
+def table(
+    rng: np.random.Generator,
+    options: SessionOptions,
+    size_m: tuple[Number, Number],
+    top_m: Number = TABLE_TOP_M,
+    middle_m: tuple[Number, Number] = (0.0, 0.0),
+) -> list[Mesh]:
+    """A block on the platform with a top of this size at a height."""
+    size = np.array([*size_m, top_m - PLATFORM_M])
+    middle = np.array([*middle_m, (top_m + PLATFORM_M) / 2])
     return box(rng, middle, size, 0.0, options.texture_contrast, WOOD)

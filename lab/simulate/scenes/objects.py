@@ -1,6 +1,6 @@
 """Objects that deform: a sheet, whole or cut into strips, and a soft column.
 
-The one that changes is in `changing.py`, those of several bodies in `bodies.py`.
+The one that changes is in `changing.py`, those of several bodies in `bodies.py`, persons in `people.py`.
 """
 
 from collections.abc import Callable
@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from devrf.lab.simulate.scenes.bodies import blocks, figure, gesturing, leaving, plant, rod
+from devrf.lab.simulate.scenes.bodies import blocks, leaving, plant, rod
 from devrf.lab.simulate.scenes.catalogue import PRINT, WOOD, Mesh, MovingObject, box, texture
 from devrf.lab.simulate.scenes.changing import changing, ease
+from devrf.lab.simulate.scenes.people import figure, gesturing, hiding, kicking, pair, placing
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.scenes.shapes import quads
 
@@ -135,5 +136,11 @@ OBJECTS = {
     "plant": ObjectKind("a flower on a table that bends over and rises again", plant),
     "leaving": ObjectKind("a small aircraft that leaves the pictures and comes back", leaving),
     "gesturing": ObjectKind("a person who stands and talks with the hands", gesturing),
+    "kicking": ObjectKind("a person who kicks fast and takes the leg back slowly", kicking),
+    "hiding": ObjectKind("a person whose forearm is hidden for half a second and comes back turned", hiding),
+    "pair": ObjectKind("two people side by side who gesture", pair),
+    "placing": ObjectKind(
+        "a person who lifts a cube and puts it down, before things that swing and wave", placing
+    ),
     "rod": ObjectKind("a thin rod that swings", rod),
 }

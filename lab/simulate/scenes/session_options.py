@@ -44,6 +44,10 @@ class SessionOptions(BaseModel):
     """First radial distortion coefficient, before jitter of 20 %."""
     gain_range: float = Field(default=0.06, ge=0, le=0.9)
     """Largest deviation of a camera's exposure from the sweep's, relative, in linear light."""
+    exposure_s: float = Field(default=0.0, ge=0, le=0.1)
+    """Exposure of the fixed cameras' pictures, seconds: what moves is blurred along its way; 0: not at all."""
+    sway_m: float = Field(default=0.0, ge=0, le=0.1)
+    """How far the object's top sways while the sweep is taken, metres, as someone who stands still does."""
     noise: float = Field(default=0.006, ge=0, le=0.2)
     """Standard deviation of the sensor's noise at mid grey, relative to full scale."""
     room: Literal["patterned", "shelves", "window", "narrow"] = "patterned"

@@ -20,6 +20,7 @@ TRACKED_POINTS = 60  # surface points whose way is written to the truth
 TRACK_FPS = 16.0
 MARKER_M = round(0.75 * BOARD_SQUARE_M, 6)
 BACKGROUND_HZ = 0.6  # at a motion_speed of 1
+SWAY_HZ = 0.3
 
 
 def ground_truth(
@@ -125,6 +126,17 @@ def object_at(thing: MovingObject, time_s: float, options: SessionOptions, share
     since_s = options.motion_speed * (time_s - options.rest_s)
     rest = thing.rest.vertices
     return replace(thing.rest, vertices=rest + share * (thing.vertices_at(since_s) - rest))
+
+
+def swaying(mesh: Mesh, time_s: float, sway_m: float) -> Mesh:
+    """The object as it sways about what it stands on: by height, to and fro, and half as far sideways."""
+    if not sway_m:
+        return mesh
+    z = mesh.vertices[:, 2]
+    height = (z - z.min()) / max(np.ptp(z), 1e-6)
+    w = 2 * np.pi * SWAY_HZ * time_s
+    way = sway_m * np.array([np.sin(w), 0.5 * np.sin(1.7 * w + 1.0), 0.0])
+    return replace(mesh, vertices=mesh.vertices + height[:, None] * way)
 
 
 def background_at(behind: list[Mesh], time_s: float, options: SessionOptions) -> list[Mesh]:

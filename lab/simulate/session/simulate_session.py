@@ -60,12 +60,14 @@ from devrf.lab.simulate.session.session_files import (
     lamp_shift_m,
     object_at,
     scene_yaml,
+    swaying,
 )
 
 SCENES = {name: kind.about for name, kind in OBJECTS.items()}
 BOARD_FPS = 2.0
 BOARD_THICKNESS_M = 0.012
 CLAP_MARGIN_S = 0.03  # between a clap and the ends of what all cameras record
+EXPOSED = 6  # moments of an exposure that takes time: a limb at 4 m/s goes less than a pixel between two
 
 
 def simulate_session(
@@ -194,6 +196,7 @@ class _Work:
         for i, camera in enumerate(path):
             file_time_s = i / options.sweep_fps
             thing = object_at(self.thing, options.rest_s + file_time_s, options, options.sweep_motion)
+            thing = swaying(thing, file_time_s, options.sway_m)
             radiance = self.renderer(camera, [thing], _seed(rng), beside=self.behind)
             clip.picture(expose(radiance, 1.0, options.noise, rng), file_time_s)
             self._tick(name)
@@ -216,17 +219,27 @@ class _Work:
             duration_s = float(camera.file_times_s[-1]) + 1 / self.options.fps
             clip.sound(sound.record(of_sound, burst, claps_s, microphone, duration_s))
         for file_time_s in camera.file_times_s:
-            moment = camera.true_time(float(file_time_s))
-            radiance = self.renderer(
-                camera.camera,
-                [object_at(self.thing, moment, self.options)],
-                _seed(rng),
-                beside=background_at(self.behind, moment, self.options),
-                lamp_shift_m=lamp_shift_m(moment, self.options),
-            )
+            radiance = self._exposed(camera, camera.true_time(float(file_time_s)), rng)
             clip.picture(expose(radiance, camera.gain, self.options.noise, rng), float(file_time_s))
             self._tick(name)
         clip.close()
+
+    def _exposed(self, camera: FixedCamera, middle_s: float, rng: np.random.Generator) -> np.ndarray:
+        """The light of an exposure: the mean of moments of it, where it takes time."""
+        parts = EXPOSED if self.options.exposure_s else 1
+        shares = (np.arange(parts) + 0.5) / parts - 0.5
+        found = []
+        for moment in (middle_s + self.options.exposure_s * shares).tolist():
+            found.append(
+                self.renderer(
+                    camera.camera,
+                    [object_at(self.thing, moment, self.options)],
+                    _seed(rng),
+                    beside=background_at(self.behind, moment, self.options),
+                    lamp_shift_m=lamp_shift_m(moment, self.options),
+                )
+            )
+        return sum(found[1:], start=found[0]) / parts
 
     def board_clip(self, name: str, camera: Camera) -> None:
         options, file = self.options, f"charuco_{name}.mp4"
