@@ -16,6 +16,7 @@ from devrf.capture.photos.raw import WhiteBalance, check_unpacks, is_raw
 from devrf.capture.photos.raw_compression import compression_of
 from devrf.capture.photos.upright_pictures import probe_picture
 from devrf.capture.rest import Rest
+from devrf.capture.system.doubles import doubles
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.capture.video.media import check_file
 from devrf.capture.video.reader import VideoInfo, probe_video
@@ -198,12 +199,9 @@ def _outside_range(
 
 
 def _same_file_twice(cameras: Mapping[str, Path]) -> list[str]:
-    seen: dict[Path, str] = {}
-    problems = []
-    for name, path in cameras.items():
-        first = seen.setdefault(path.resolve(), name)
-        if first != name:
-            problems.append(
-                f"capture camera {name}: {path} is also the clip of camera {first}; expected its own"
-            )
-    return problems
+    """Cameras with the clip of another one, under whatever name."""
+    names = [name for name, path in cameras.items() if path.is_file()]
+    return [
+        f"capture camera {names[n]}: {cameras[names[n]]} is also the clip of camera {names[first]}; expected its own"
+        for n, first in doubles([cameras[name] for name in names]).items()
+    ]

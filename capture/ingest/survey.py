@@ -19,6 +19,7 @@ from devrf.capture.photos.raw import RAW_SUFFIXES
 from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
 from devrf.capture.projection import Projection, projection_of
 from devrf.capture.system.errors import CaptureError
+from devrf.capture.system.file_names import CLIP_SUFFIXES
 from devrf.capture.system.spread import spread
 from devrf.capture.video.reader import probe_video
 from devrf.capture.video.sampled import picture_times, read_runs, spread_starts
@@ -28,9 +29,7 @@ End = Literal["start", "end"]
 ENDS: tuple[End, ...] = ("start", "end")  # of a clip
 
 KINDS: dict[str, frozenset[str]] = {
-    "clips": frozenset(
-        ".mp4 .mov .mkv .avi .m4v .mts .m2ts .ts .mxf .webm .mpg .mpeg .wmv .3gp .insv".split()
-    ),
+    "clips": CLIP_SUFFIXES,
     "photos": frozenset(PICTURE_SUFFIXES) | frozenset(RAW_SUFFIXES),
     "sounds": frozenset(".wav .mp3 .m4a .aac .flac .ogg".split()),
     "tables": frozenset((".csv",)),

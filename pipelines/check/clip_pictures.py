@@ -15,7 +15,7 @@ from devrf.capture.ingest.stillness import moving_mask, moving_share, smooth_gre
 from devrf.capture.ingest.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.capture.measure import Measure
 from devrf.capture.photos.photo_folders import list_pictures, unread_faults
-from devrf.capture.photos.upright_pictures import read_picture
+from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
 from devrf.capture.projection import projection_faults
 from devrf.capture.rest import Rest
 from devrf.capture.system.progress import Progress
@@ -157,7 +157,8 @@ def _read(look: Look, indices: Sequence[int], length: int = 1) -> Iterator[list[
             yield [small(frame.rgb) for frame in run]
     else:
         photos = list_pictures(look.path)
-        yield from ([small(read_picture(photos[n])[:, :, :3])] for n in indices)
+        turns = shared_turns([probe_picture(photo) for photo in photos])
+        yield from ([small(read_picture(photos[n], turns[n])[:, :, :3])] for n in indices)
 
 
 def _sharpness(picture: Picture) -> float:

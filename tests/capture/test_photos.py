@@ -3,6 +3,7 @@
 import struct
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,8 +74,11 @@ def test_colours_without_a_profile(tmp_path: Path, kind: str) -> None:
         exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.IFD.Interop] = {ExifTags.Interop.InteropIndex: "R03"}
     green = Image.fromarray(np.full((16, 16, 3), (90, 200, 90), np.uint8))
     said, profiled = tmp_path / f"a.{'jpg' if kind == 'R03' else 'png'}", tmp_path / "b.png"
-    coded = {"quality": 100, "subsampling": 0}
-    green.save(said, **({"exif": exif, **coded} if kind == "R03" else {"pnginfo": chunks}))
+    coded: dict[str, Any] = {"quality": 100, "subsampling": 0}
+    if kind == "R03":
+        green.save(said, exif=exif, **coded)
+    else:
+        green.save(said, pnginfo=chunks)
     green.save(profiled, icc_profile=icc_profile("x", *ICC["Adobe RGB" if kind == "R03" else "Display P3"]))
     np.testing.assert_allclose(read_pixels(said).astype(int), read_pixels(profiled), atol=2)
     assert read_pixels(said)[0, 0, 0] < 70
@@ -89,13 +93,13 @@ def test_profiles_of_photos_are_named(tmp_path: Path) -> None:
         ("b.jpg", None),
         ("c.jpg", icc_profile("near", SRGB_IN_D50, SRGB_CURVE)),
     ):
-        PICTURE.save(folder / name, **({} if profile is None else {"icc_profile": profile}))
+        PICTURE.save(folder / name, icc_profile=profile)
     chunk = PngInfo()
     chunk.add(b"gAMA", struct.pack(">I", 45_455))
     PICTURE.save(folder / "d.png", pnginfo=chunk)
     got = extract_folder(folder, tmp_path, "static", "sweep", "in")
     assert got.faults == () and got.notes == ()
-    assert (tmp_path / got.frames[2].file).read_bytes() == (folder / "c.jpg").read_bytes()
+    assert (tmp_path / str(got.frames[2].file)).read_bytes() == (folder / "c.jpg").read_bytes()
     PICTURE.save(folder / "e.tif", icc_profile=icc_profile("Display P3", *ICC["Display P3"]))
     chunk = PngInfo()
     chunk.add(b"gAMA", struct.pack(">I", 100_000))
