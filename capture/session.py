@@ -4,7 +4,7 @@ A session is a sweep of the scene at rest, clips of fixed cameras while it moves
 clips of a calibration board and an optional table of true frame times.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -120,7 +120,7 @@ def preflight(session: CaptureSession) -> list[str]:
             lambda: problems.extend(_outside_clip(first, clips[first], session.range_s)),
             f"capture camera {first}",
         )
-    problems += _same_file_twice(session.cameras)
+    problems += _same_file_twice(session.cameras, session.test_names)
     return problems
 
 
@@ -198,10 +198,15 @@ def _outside_range(
     ]
 
 
-def _same_file_twice(cameras: Mapping[str, Path]) -> list[str]:
-    """Cameras with the clip of another one, under whatever name."""
+def _same_file_twice(cameras: Mapping[str, Path], tests: Sequence[str]) -> list[str]:
+    """Cameras with the file of another one; a copy of it where one of the two is tested on, the other trained on."""
     names = [name for name, path in cameras.items() if path.is_file()]
-    return [
-        f"capture camera {names[n]}: {cameras[names[n]]} is also the clip of camera {names[first]}; expected its own"
-        for n, first in doubles([cameras[name] for name in names]).items()
-    ]
+    found = []
+    for n, first in doubles([cameras[name] for name in names]).items():
+        name, other = names[n], names[first]
+        path = cameras[name]
+        if path.resolve() == cameras[other].resolve() or (name in tests) != (other in tests):
+            found.append(
+                f"capture camera {name}: {path} is also the clip of camera {other}; expected its own"
+            )
+    return found

@@ -156,13 +156,14 @@ def largest_pictures(folder: Path, count: int | None, key: Callable[[str], Any] 
             seen.append(f"images{factor} {len(files)}")
     expected = f"{count} pictures" if count is not None else "pictures"
     wrong = f"{folder}: expected {expected} in images, images_2, images_4 or images_8"
-    text = f"{wrong}, found {', '.join(seen) or 'none'}; each row of the poses is one picture"
     clips = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in CLIP_SUFFIXES)
     if clips and not seen:
         text = (
             f"{wrong}, found {len(clips)} clips ({some(clips)}): a capture of fixed cameras; name them in "
             f"capture.cameras, {POSES} in calibration.rig.given, and a sweep of the scene at rest in capture.static"
         )
+        raise CaptureError("count-mismatch", text)
+    text = f"{wrong}, found {', '.join(seen) or 'none'}; each row of the poses is one picture"
     raise CaptureError("count-mismatch", text)
 
 

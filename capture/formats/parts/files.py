@@ -56,10 +56,12 @@ def find_picture(base: Path, name: str) -> Path:
         for candidate in (file.with_name(other) for other in names if file.name):
             if os.path.isfile(candidate):  # not so what has too long a name
                 return candidate.resolve()
-    wrong = f"{base / name}: picture not found (nor with .png or .jpg added)"
+    remedy = "copy it into the data set, or remove its entry"
     if _ends(name):
-        wrong = f"{name}: picture not found, nor one of that name in {base}"
-    raise CaptureError("picture-missing", f"{wrong}; copy it into the data set, or remove its entry")
+        text = f"{name}: picture not found, nor one of that name in {base}; {remedy}"
+        raise CaptureError("picture-missing", text)
+    wrong = f"{base / name}: picture not found (nor with .png or .jpg added)"
+    raise CaptureError("picture-missing", f"{wrong}; {remedy}")
 
 
 def _ends(name: str) -> list[str]:
