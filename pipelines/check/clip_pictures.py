@@ -18,6 +18,7 @@ from devrf.capture.photos.photo_folders import list_pictures, unread_faults
 from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
 from devrf.capture.projection import projection_faults
 from devrf.capture.rest import Rest
+from devrf.capture.system.doubles import doubles
 from devrf.capture.system.progress import Progress
 from devrf.capture.system.spread import spread
 from devrf.capture.video.audio import Sound
@@ -143,8 +144,10 @@ def camera_measures(name: str, look: Look, rest: Rest, sweep: Sequence[Features]
 
 
 def _sweep_pictures(look: Look) -> np.ndarray:
-    """About which pictures of a sweep are used [n]: one of each window of a clip, every photo."""
-    if not look.is_clip or look.count <= MAX_SWEEP_FRAMES:
+    """About which pictures of a sweep are used [n]: one of each window of a clip, every photo that is no copy."""
+    if not look.is_clip:
+        return np.setdiff1d(np.arange(look.count), list(doubles(list_pictures(look.path))))
+    if look.count <= MAX_SWEEP_FRAMES:
         return np.arange(look.count)
     return ((np.arange(MAX_SWEEP_FRAMES) + 0.5) * look.count / MAX_SWEEP_FRAMES).astype(np.int64)
 
