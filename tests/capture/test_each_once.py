@@ -14,6 +14,7 @@ from devrf.capture.formats import read_dataset
 from devrf.capture.formats.parts.assembly import Pictures
 from devrf.capture.formats.parts.each_once import each_once
 from devrf.capture.scene import Scene
+from devrf.capture.system.doubles import doubles
 
 
 def edit(file: Path, change: Callable[[dict[str, Any]], object]) -> None:
@@ -87,3 +88,18 @@ def test_what_else_belongs_to_pictures_goes_with_them(odd_scene: Scene) -> None:
     for file in (others[0].path, others[1].path):
         shutil.copyfile(first.path, file)
     assert len(each_once(Pictures(odd_scene.static), []).static) == 6
+
+
+def test_doubles_are_told_by_content(tmp_path: Path) -> None:
+    for name, content in (
+        ("a", b"xy"),
+        ("b", b"xz"),
+        ("c", b"xy"),
+        ("d", b"xyz"),
+        ("e", b"x" * 70_000 + b"1"),
+    ):
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "f").write_bytes(b"x" * 70_000 + b"2")
+    (tmp_path / "g").symlink_to(tmp_path / "c")
+    files = [tmp_path / name for name in "abcdaefgg"]
+    assert doubles(files) == {2: 0, 4: 0, 7: 0, 8: 0}
