@@ -162,7 +162,8 @@ def test_copies_of_photos_count_once(tmp_path: Path, textures: Callable) -> None
         write_picture(tmp_path / f"IMG_{n}.jpg", textures(n)[:120, :160])
         if n % 2:
             shutil.copy(tmp_path / f"IMG_{n}.jpg", tmp_path / f"Copy of IMG_{n}.jpg")
-    assert len(planned_frames(look_at(tmp_path, 4), "sweep", "in").used) == 6
+    frames = planned_frames(look_at(tmp_path, 4), "sweep", "in")
+    assert len(frames.used) == 6 and any("3 of them are copies" in note for note in frames.notes)
 
 
 def test_a_gap_is_named_unless_a_picture_between_closes_it(textures: Callable) -> None:
