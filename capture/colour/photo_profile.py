@@ -39,6 +39,11 @@ SRGB_IN_D50 = (
 SAME_LEVELS = 2  # of 255: what makers' own profiles of sRGB differ by
 GRID = np.stack(np.meshgrid(*3 * [np.arange(0, 256, 51)]), axis=-1).reshape(1, -1, 3).astype(np.uint8)
 LEVELS = np.arange(256) / 255
+ROUNDING, DARK, BRIGHT = (
+    1e-3,
+    0.2,
+    0.8,
+)  # of light: what curves fall by, and what they make of black and white
 LEAST_GAMMA = 1.6  # the curves of displays and cameras are 1.8 to 2.4; less is linear light or a logarithm
 GAMMA_OF_SRGB = (2.1, 2.3)  # PNG: what writers of sRGB put into gAMA is 2.2, and means sRGB's own curve
 ADOBE_GAMMA = 563 / 256
@@ -101,8 +106,13 @@ def as_srgb(
 def _space(
     name: str, light: Float[np.ndarray, "*levels"], srgb_from_own: Float32[np.ndarray, "3 3"]
 ) -> PhotoSpace | None:
-    """None where all colours come out as they are."""
+    """None where all colours come out as they are; not read where the curve is none from black to white."""
     columns = light if light.ndim == 2 else np.stack(3 * [light], axis=1)
+    rises = np.isfinite(columns).all() and np.diff(columns, axis=0).min() > -ROUNDING
+    if not (
+        rises and columns[0].max() < DARK and columns[-1].min() > BRIGHT and columns[128].max() > ROUNDING
+    ):
+        return _unread(name)
     table = np.clip(columns, 0, 1).astype(np.float32)
     off = srgb_of(GRID, table, srgb_from_own).astype(int) - GRID
     return None if np.abs(off).max() <= SAME_LEVELS else PhotoSpace(name, table, srgb_from_own)
@@ -175,7 +185,8 @@ def _curve(tag: bytes) -> Float[np.ndarray, " 256"]:
         a, b, c, d, e, f = (*rest, *(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)[len(rest) :])
         if formula in (1, 2):  # one constant, below and above
             c, d, e, f = 0.0, -b / a if a else 0.0, c, c
-        return np.where(x >= d, np.maximum(a * x + b, 0) ** g + e, c * x + f)
+        with np.errstate(all="ignore"):  # what is no number is no curve
+            return np.where(x >= d, np.maximum(a * x + b, 0) ** g + e, c * x + f)
     if kind != b"curv":
         raise ValueError(f"curve {kind!r}")
     (points,) = struct.unpack_from(">I", tag, 8)

@@ -55,7 +55,8 @@ def srgb_from_chromaticities(xy: Float[np.ndarray, "4 2"]) -> Float32[np.ndarray
     Raises:
         ValueError, numpy.linalg.LinAlgError: They are no primaries.
     """
-    return white_to_white(np.linalg.solve(_xyz(np.array(CHROMATICITIES[SRGB])), _xyz(xy)))
+    with np.errstate(all="ignore"):
+        return white_to_white(np.linalg.solve(_xyz(np.array(CHROMATICITIES[SRGB])), _xyz(xy)))
 
 
 def white_to_white(matrix: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "3 3"]:
@@ -65,7 +66,7 @@ def white_to_white(matrix: Float[np.ndarray, "3 3"]) -> Float32[np.ndarray, "3 3
         ValueError: It makes no light of white.
     """
     white = matrix.sum(axis=1, keepdims=True)
-    if not (np.isfinite(matrix).all() and white.min() > 0):
+    if not (np.isfinite(matrix).all() and white.min() > 1e-3):
         raise ValueError(f"no primaries: white becomes {white.ravel().tolist()}")
     return (matrix / white).astype(np.float32)
 

@@ -106,12 +106,14 @@ def test_profiles_of_photos_are_named(tmp_path: Path) -> None:
     PICTURE.save(folder / "f.png", pnginfo=chunk)
     PICTURE.save(folder / "g.jpg", icc_profile=icc_profile("table", P3, b"mft2" + bytes(8)))
     PICTURE.save(folder / "h.jpg", icc_profile=b"cut short")
+    falls = b"para" + bytes(4) + struct.pack(">HH", 0, 0) + fixed(-2.2)
+    PICTURE.save(folder / "i.jpg", icc_profile=icc_profile("falls", P3, falls))
     got = extract_folder(folder, tmp_path, "static", "sweep", "in")
-    assert any("1 of 8" in note and "Display P3" in note and "e.tif" in note for note in got.notes)
+    assert any("1 of 9" in note and "Display P3" in note and "e.tif" in note for note in got.notes)
     unread, linear = got.faults
     assert [(f.code, f.why) for f in got.faults] == [("coding", "profile"), ("coding", "linear")]
-    assert all(named in str(unread.value) for named in ("2 of 8", "table", "g.jpg, h.jpg"))
-    assert all(named in str(linear.value) for named in ("1 of 8", "gamma of 1", "f.png"))
+    assert all(named in str(unread.value) for named in ("3 of 9", "table", "falls", "g.jpg, h.jpg, i.jpg"))
+    assert all(named in str(linear.value) for named in ("1 of 9", "gamma of 1", "f.png"))
 
 
 def test_photos_are_called_by_their_names(tmp_path):
