@@ -65,18 +65,20 @@ def tags_of(image: Image.Image) -> Image.Exif:
     """
     if image.format != "PNG":
         return image.getexif()
-    if "exif" not in image.info and (found := _behind_the_pixels(image)) is not None:
+    if "exif" not in image.info and (found := png_chunk(image, b"eXIf")) is not None:
         image.info["exif"] = b"Exif\0\0" + found
     return Image.Image.getexif(image)
 
 
-def _behind_the_pixels(image: Image.Image) -> bytes | None:
-    """Content of a PNG's eXIf chunk, by going from chunk to chunk."""
+def png_chunk(image: Image.Image, kind: bytes) -> bytes | None:
+    """Content of the first such chunk of a PNG, before or behind its pixels; None of other files, or without one."""
+    if image.format != "PNG":
+        return None
     with open(getattr(image, "filename", ""), "rb") as file:
         file.seek(PNG_CHUNKS)
         while len(head := file.read(8)) == 8:
-            length, kind = int.from_bytes(head[:4], "big"), head[4:]
-            if kind == b"eXIf":
+            length = int.from_bytes(head[:4], "big")
+            if head[4:] == kind:
                 return file.read(min(length, MOST_TAGS))
             file.seek(length + PNG_CRC, 1)
     return None

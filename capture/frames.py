@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, UInt8
 from devrf.capture.exif import Exif, exif_from_dict
 from devrf.capture.measure import Measure
 from devrf.capture.orientation import Upright, by_exif
+from devrf.capture.system.amounts import some
 from devrf.capture.system.errors import CaptureError
 
 Role = Literal["sweep", "camera", "test", "board", "joint"]
@@ -30,7 +31,6 @@ VARIABLE_STEP = 0.05  # steps further than this share of the usual one from a mu
 VARIABLE_STEP_S = 1.1e-3  # ... and by more than the rounding of millisecond time bases
 VARIABLE_SHARE = 0.02  # ... in more than this share of the steps: a variable rate, not single drops
 DROPPED_STEP = 1.5  # a step this many times the usual one: frames are missing
-LISTED = 6  # frames, photos or files that a text names
 
 
 @dataclass(frozen=True)
@@ -215,12 +215,6 @@ def _camera_frames(raw: dict[str, Any]) -> CameraFrames:
     frames = tuple(FrameRecord(**{**frame, "exif": exif_from_dict(frame["exif"])}) for frame in raw["frames"])
     faults = tuple(Measure(**fault) for fault in raw["faults"])
     return CameraFrames(**{**raw, "frames": frames, "notes": tuple(raw["notes"]), "faults": faults})
-
-
-def some(things: Sequence[Any]) -> str:
-    """The first few of many frames, photos or cameras, and how many more there are; "none" of none."""
-    more = f" and {len(things) - LISTED} more" if len(things) > LISTED else ""
-    return (", ".join(map(str, things[:LISTED])) + more) or "none"
 
 
 # --- sharpness and choice ---

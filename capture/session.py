@@ -4,7 +4,7 @@ A session is a sweep of the scene at rest, clips of fixed cameras while it moves
 clips of a calibration board and an optional table of true frame times.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +16,7 @@ from devrf.capture.photos.raw import WhiteBalance, check_unpacks, is_raw
 from devrf.capture.photos.raw_compression import compression_of
 from devrf.capture.photos.upright_pictures import probe_picture
 from devrf.capture.rest import Rest
+from devrf.capture.system.doubles import doubles
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.capture.video.media import check_file
 from devrf.capture.video.reader import VideoInfo, probe_video
@@ -119,7 +120,7 @@ def preflight(session: CaptureSession) -> list[str]:
             lambda: problems.extend(_outside_clip(first, clips[first], session.range_s)),
             f"capture camera {first}",
         )
-    problems += _same_file_twice(session.cameras)
+    problems += _same_file_twice(session.cameras, session.test_names)
     return problems
 
 
@@ -197,13 +198,15 @@ def _outside_range(
     ]
 
 
-def _same_file_twice(cameras: Mapping[str, Path]) -> list[str]:
-    seen: dict[Path, str] = {}
-    problems = []
-    for name, path in cameras.items():
-        first = seen.setdefault(path.resolve(), name)
-        if first != name:
-            problems.append(
-                f"capture camera {name}: {path} is also the clip of camera {first}; expected its own"
+def _same_file_twice(cameras: Mapping[str, Path], tests: Sequence[str]) -> list[str]:
+    """Cameras with the file of another one; a copy of it where one of the two is tested on, the other trained on."""
+    names = [name for name, path in cameras.items() if path.is_file()]
+    found = []
+    for n, first in doubles([cameras[name] for name in names]).items():
+        name, other = names[n], names[first]
+        path = cameras[name]
+        if path.resolve() == cameras[other].resolve() or (name in tests) != (other in tests):
+            found.append(
+                f"capture camera {name}: {path} is also the clip of camera {other}; expected its own"
             )
-    return problems
+    return found

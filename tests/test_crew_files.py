@@ -14,6 +14,7 @@ from tests.conftest import Command
 
 from devrf.capture.frames import CameraFrames
 from devrf.capture.ingest.extract_clip import Keep, extract_clip
+from devrf.capture.photos.extract import extract_folder
 from devrf.capture.photos.raw_compression import compression_of
 from devrf.capture.photos.upright_pictures import read_picture
 from devrf.capture.session import CaptureSession, preflight
@@ -56,6 +57,22 @@ def test_pictures_that_show_nothing_at_the_start_tell_no_time(copy: Copy, devrf:
         assert clock["method"] == "audio" and clock["offset_s"] == pytest.approx(offset_s, abs=1e-3)
     camera = json.loads((folder / "ingest" / "ingest.json").read_text())["cameras"]["cam1"]
     assert [f["index"] for f in camera["frames"] if not f["used"]] == [0, 1, 2]
+
+
+def test_photos_that_lie_there_twice(crew_files: Path, tmp_path: Path) -> None:
+    """Eight to the byte, four coded anew."""
+    frames = extract_folder(crew_files / "photo-copies" / "sweep", tmp_path, "static", "sweep", "sweep")
+    assert [f.photo for f in frames.used] == [f"IMG_{n:04d}.jpg" for n in range(1, 13)]
+    assert any("12 of 24 photos are copies" in note for note in frames.notes)
+
+
+@pytest.mark.parametrize("folder", ["srgb", "p3", "adobe", "mixed"])
+def test_photos_look_the_same_whatever_their_profile(crew_files: Path, tmp_path: Path, folder: str) -> None:
+    photos = crew_files / "wide-gamut-photos"
+    frames = extract_folder(photos / folder, tmp_path, "static", "sweep", folder)
+    for frame in frames.used:
+        want = read_picture(photos / "srgb" / str(frame.photo)).astype(int)
+        assert np.abs(read_picture(tmp_path / str(frame.file)) - want).mean() < 1.5  # compressed twice
 
 
 @pytest.mark.parametrize("kind", ["left_right", "top_bottom", "swapped"])

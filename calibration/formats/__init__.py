@@ -7,8 +7,11 @@ from typing import Any
 from devrf.calibration.formats.colmap_rig import is_colmap, read_colmap_rig, write_colmap_rig
 from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap
 from devrf.calibration.formats.found import Found, FoundCamera, text_of
+from devrf.calibration.formats.json_cameras import parse as parse_json
+from devrf.calibration.formats.json_cameras import read_json_cameras
 from devrf.calibration.formats.kalibr import parse as parse_kalibr
 from devrf.calibration.formats.kalibr import read_kalibr
+from devrf.calibration.formats.llff_rig import is_llff, read_llff_rig
 from devrf.calibration.formats.opencv import (
     ENDINGS,
     INTRINSICS_FILE,
@@ -26,11 +29,20 @@ from devrf.calibration.formats.toml_tables import read_toml, write_caliscope
 from devrf.capture.camera import Camera
 from devrf.capture.system.errors import InputError
 
-__all__ = ["RIG_WRITERS", "Found", "FoundCamera", "find_calibration", "find_single_files"]
+__all__ = [
+    "READ",
+    "RIG_WRITERS",
+    "Found",
+    "FoundCamera",
+    "find_calibration",
+    "find_single_files",
+    "is_json_of_others",
+]
 
 READ = (
     "rig.json; a COLMAP model; yml, xml or JSON of OpenCV (one camera, or a stereo pair), ROS or EasyMocap; a kalibr "
-    "camchain; toml of caliscope, aniposelib or Pose2Sim; Qualisys .qca.txt"
+    "camchain; toml of caliscope, aniposelib or Pose2Sim; JSON of the Panoptic Studio or multical; Qualisys .qca.txt; "
+    "LLFF's poses_bounds.npy"
 )
 Writer = Callable[[Path, Mapping[str, Camera], bool], None]
 RIG_WRITERS: dict[str, Writer] = {  # (folder, cameras by name, whether lengths are metres)
@@ -43,6 +55,7 @@ PARSED: tuple[tuple[Callable[[str], Any], Callable[[Path, Any], Found]], ...] = 
     (parse_qualisys, read_qualisys),
     (parse_toml, read_toml),
     (parse_kalibr, read_kalibr),
+    (parse_json, read_json_cameras),
 )
 
 
@@ -57,6 +70,8 @@ def find_calibration(path: Path) -> Found:
     """
     if path.is_dir():
         return _from_folder(path)
+    if is_llff(path):
+        return read_llff_rig(path)
     text = text_of(path)
     for parse, read in PARSED:
         if (content := parse(text)) is not None:
@@ -69,6 +84,16 @@ def find_calibration(path: Path) -> Found:
         if is_stereo(data):
             return read_stereo(path, data)
     raise InputError("calibration-unread", f"{path}: not a calibration that can be read; expected {READ}")
+
+
+def is_json_of_others(path: Path) -> bool:
+    """Whether a JSON file is a calibration of another program."""
+    try:
+        text = text_of(path)
+    except InputError:
+        return False
+    data = storage(text)
+    return parse_json(text) is not None or (data is not None and (is_single(data) or is_stereo(data)))
 
 
 def find_single_files(files: Mapping[str, Path]) -> Found:

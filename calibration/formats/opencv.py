@@ -59,15 +59,6 @@ def storage(text: str) -> dict[str, Any] | None:
         return None
 
 
-def is_json(path: Path) -> bool:
-    """Whether a JSON file is OpenCV's (FileStorage writes it too) or has its keys."""
-    try:
-        data = storage(text_of(path))
-    except InputError:
-        return False
-    return data is not None and (is_single(data) or is_stereo(data))
-
-
 def is_single(data: Mapping[str, Any]) -> bool:
     """Whether a file describes one camera."""
     return any(key in data for key in MATRIX_KEYS)

@@ -13,8 +13,14 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from devrf.calibration.formats import Found, FoundCamera, find_calibration, find_single_files
-from devrf.calibration.formats.opencv import is_json as is_opencv_json
+from devrf.calibration.formats import (
+    READ,
+    Found,
+    FoundCamera,
+    find_calibration,
+    find_single_files,
+    is_json_of_others,
+)
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale, read_rig
 from devrf.capture.measure import Measure, noted
@@ -85,8 +91,8 @@ def read_given(
         CaptureError: A damaged COLMAP model.
     """
     own = None
-    if isinstance(source, Path) and _is_json(source) and not is_opencv_json(source):
-        own = read_rig(source)
+    if isinstance(source, Path) and _is_json(source) and not is_json_of_others(source):
+        own = _own_rig(source)
     found = _found(source) if own is None else _own(own)
     where = str(source) if isinstance(source, Path) else KEY
     notes = noted([f"{found.format}, {len(found.cameras)} cameras", *found.notes], CALIBRATION)
@@ -136,6 +142,14 @@ def _is_json(path: Path) -> bool:
         return False  # its reader says what is wrong
 
 
+def _own_rig(path: Path) -> Rig:
+    try:
+        return read_rig(path)
+    except InputError as error:
+        others = f"; of other programs are read: {READ}" if error.code == "file-damaged" else ""
+        raise InputError(error.code, f"{error}{others}") from None
+
+
 def _own(rig: Rig) -> Found:
     """Our rig.json as any other calibration."""
     cameras = {}
@@ -148,7 +162,7 @@ def _own(rig: Rig) -> Found:
 
 
 def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, str], list[Measure]]:
-    """The capture's name -> the file's: the same name, else the same number, else the same place in the order."""
+    """The capture's name -> the file's: the same, else the same number, the end of it, or the place in the order."""
     if set(names) <= set(found):
         return {name: name for name in names}, []
     ours, theirs = [_number(name) for name in names], [_number(name) for name in found]
@@ -156,6 +170,10 @@ def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, st
     if unique and None not in ours and set(ours) <= set(theirs):
         chosen = {name: found[theirs.index(number)] for name, number in zip(names, ours, strict=True)}
         return chosen, noted([f"matched by number: {_pairs(chosen)}"], CALIBRATION)
+    ends = {n: [f for f in found if re.search(rf"[\W_]{re.escape(f)}$", n)] for n in names}
+    if all(len(ending) == 1 for ending in ends.values()) and len({f for [f] in ends.values()}) == len(names):
+        chosen = {name: f for name, [f] in ends.items()}
+        return chosen, noted([f"matched by the end of the name: {_pairs(chosen)}"], CALIBRATION)
     # where some agree, one is missing, not renamed
     if len(names) == len(found) and not set(names) & set(found):
         chosen = dict(zip(names, sorted(found, key=natural_key), strict=True))

@@ -1,7 +1,8 @@
 """Masks of what moves or reflects in a sweep: black is ignored (COLMAP's convention).
 
 A picture's mask has its size and its name plus `.png` (`IMG_1.jpg.png`), or its name with `.png` instead
-(`IMG_1.png`); a film's frame is called by its number (`000012.png` or `12.png`).
+(`IMG_1.png`); a film's frame is called by its number (`000012.png` or `12.png`), from 0; from 1 where the masks are
+numbered from 1 to as many as there are frames, as programs write them that take films apart.
 """
 
 from collections.abc import Mapping
@@ -25,6 +26,7 @@ def prepare_masks(
     sizes: Mapping[str, tuple[int, int]],
     out: Path,
     turns: Mapping[str, Upright] | None = None,
+    count: int | None = None,
 ) -> list[str]:
     """Write every picture's mask, what is ignored grown a little, where COLMAP looks for it.
 
@@ -34,6 +36,7 @@ def prepare_masks(
         sizes: (width, height) of each picture.
         out: Folder for COLMAP's masks.
         turns: From each picture as its own tag makes it upright to the one that is used; None: they are the same.
+        count: Frames of a film, used or not; None of photos.
     Returns:
         Pictures without a mask; all of them is used.
     Raises:
@@ -43,8 +46,12 @@ def prepare_masks(
         text = f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml"
         raise InputError("folder-missing", text)
     without, problems = [], []
+    by_number = {int(f.stem): f for f in sorted(folder.glob("*.png")) if f.stem.isdecimal()}
+    from_1 = bool(by_number) and (min(by_number), max(by_number)) == (1, count)
     for name, original in pictures.items():
-        file = _find(folder, name, original)
+        file = None if from_1 else _find(folder, name, original)
+        if file is None and count is not None:
+            file = by_number.get(int(Path(name).stem) + from_1)
         if file is None:
             without.append(name)
             continue

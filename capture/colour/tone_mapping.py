@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 
+from devrf.capture.colour.primaries import BT2020, STRIPE_ROWS, srgb_from_primaries
 from devrf.capture.colour.srgb import LEVEL_OF_LINEAR
 
 Transfer = Literal["HLG", "PQ"]
@@ -22,26 +23,22 @@ REFERENCE_WHITE = 203.0  # cd/m2, BT.2408-7: HLG at 75 %, PQ at 58 %
 HLG_PEAK = 1000.0  # cd/m2, nominal peak of the reference display of HLG ...
 HLG_GAMMA = np.float32(1.2)  # ... and its system gamma (BT.2100-2, Table 5)
 BT2020_LUMA = np.array([0.2627, 0.6780, 0.0593], np.float32)
-BT709_FROM_BT2020 = np.array(  # BT.2087-0, Annex 2
-    [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
-)
 FULL_CODE = 255 * 256  # what swscale makes of the brightest 16-bit code: its 8-bit white, shifted
-STRIPE_ROWS = 64  # converted at once, so that what is in between stays in the cache
 
 
 def srgb_from_hdr(
-    code: UInt16[np.ndarray, "height width 3"], transfer: Transfer
+    code: UInt16[np.ndarray, "height width 3"], transfer: Transfer, primaries: int = BT2020
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """8-bit sRGB of BT.2020 R'G'B' codes, 0 to `FULL_CODE` (more is taken for that)."""
+    """8-bit sRGB of R'G'B' codes, 0 to `FULL_CODE` (more is taken for that), in primaries of `CHROMATICITIES`."""
     out = np.empty(code.shape, np.uint8)
-    table = _light(transfer)
+    table, srgb_from_own = _light(transfer), srgb_from_primaries(primaries)
     for top in range(0, len(code), STRIPE_ROWS):
         light = table[code[top : top + STRIPE_ROWS]]
         if transfer == "HLG":  # OOTF: display light = scene light * luminance ** (gamma - 1)
             light = (
                 light * ((light @ BT2020_LUMA) ** (HLG_GAMMA - 1))[..., None] * (HLG_PEAK / REFERENCE_WHITE)
             )
-        linear = np.clip(light @ BT709_FROM_BT2020.T, 0, 1)
+        linear = np.clip(light @ srgb_from_own.T, 0, 1)
         out[top : top + STRIPE_ROWS] = LEVEL_OF_LINEAR[(linear * 65535 + 0.5).astype(np.uint16)]
     return out
 

@@ -1,5 +1,6 @@
 """Finished data sets in and out: which reader or writer, what is held out, which times, and the background."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from devrf.capture.colour.photo_profile import photo_space
 from devrf.capture.formats.blender import read_blender
 from devrf.capture.formats.colmap.colmap_scene import read_colmap, write_colmap
 from devrf.capture.formats.devrf import read_devrf
@@ -22,9 +24,11 @@ from devrf.capture.formats.parts.assembly import (
     hold_out,
     is_plain,
 )
+from devrf.capture.formats.parts.each_once import each_once
 from devrf.capture.formats.parts.export import Export, write_export
 from devrf.capture.formats.parts.files import read_header
 from devrf.capture.formats.parts.scene_files import with_scene_entry
+from devrf.capture.photos.picture_files import open_picture
 from devrf.capture.scene import Background, Scene
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.progress import Progress, no_progress
@@ -66,8 +70,8 @@ def write_dataset(
     return write_export(scene, dataset_format, writer, folder, progress, notes)
 
 
-def guess_format(folder: Path) -> DatasetFormat | None:
-    """Which data set a folder looks like, by the names of its files; None: like none."""
+def guess_formats(folder: Path) -> list[DatasetFormat]:
+    """Which data sets a folder may be, by the names of its files, the likeliest first."""
     signs: dict[DatasetFormat, tuple[str, ...]] = {
         "devrf": ("dynamic_*views",),
         "nerfstudio": ("transforms.json",),
@@ -75,7 +79,7 @@ def guess_format(folder: Path) -> DatasetFormat | None:
         "llff": ("poses_bounds.npy",),
         "colmap": ("sparse", "cameras.bin", "cameras.txt"),
     }
-    return next((name for name, marks in signs.items() if any(any(folder.glob(m)) for m in marks)), None)
+    return [name for name, marks in signs.items() if any(any(folder.glob(m)) for m in marks)]
 
 
 def read_dataset(
@@ -103,7 +107,8 @@ def read_dataset(
     if not folder.is_dir():
         raise CaptureError("folder-missing", f"data set {folder}: no such folder; check dataset.path")
     notes = [] if notes is None else notes
-    found = READERS[dataset_format](folder, notes)
+    found = each_once(READERS[dataset_format](folder, notes), notes)
+    notes += _spaces(found)
     inside = folder.resolve()
     outside = [f.path for f in (*found.static, *found.dynamic) if inside not in f.path.resolve().parents]
     if outside:
@@ -131,6 +136,18 @@ def read_dataset(
     ) as error:  # positions of 1e300, all at one place
         text = f"data set {folder}: its cameras make no scene ({error}); look at their positions and focal lengths"
         raise CaptureError("scene-cameras-unusable", text) from None
+
+
+def _spaces(found: Pictures) -> list[str]:
+    """Which colour profiles the pictures have, beside sRGB, in words."""
+    names: Counter[str] = Counter()
+    for path in dict.fromkeys(frame.path for frame in (*found.static, *found.dynamic)):
+        with open_picture(path) as image:
+            space = photo_space(image)
+        if space is not None:
+            done = "is not read, they are taken as sRGB" if space.light is None else "is brought to sRGB"
+            names[f"{space.name}, which {done}"] += 1
+    return [f"{count} pictures have the colour profile {name}" for name, count in names.items()]
 
 
 def _scene(found: Pictures, background: Background | None, notes: list[str]) -> Scene:

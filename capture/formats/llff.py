@@ -21,9 +21,12 @@ from devrf.capture.formats.parts.opengl import cam_from_opengl
 from devrf.capture.formats.parts.row_order import order_that_fits
 from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.scene import PosedFrame
+from devrf.capture.system.amounts import some
 from devrf.capture.system.arrays import ArrayError, read_npy
 from devrf.capture.system.errors import CaptureError
+from devrf.capture.system.file_names import CLIP_SUFFIXES
 
+POSES = "poses_bounds.npy"
 FACTORS = ("", "_2", "_4", "_8")  # endings of folders with smaller copies, the largest first
 
 Rows = tuple[tuple[PosedFrame, ...], Float[np.ndarray, "n 2"]]
@@ -31,7 +34,7 @@ Rows = tuple[tuple[PosedFrame, ...], Float[np.ndarray, "n 2"]]
 
 def read_llff(folder: Path, notes: list[str]) -> Pictures:
     """A forward-facing scene at rest."""
-    rows = read_rows(folder / "poses_bounds.npy", 17)
+    rows = read_rows(folder / POSES, 17)
     names = read_names(folder / TEST_LIST)
     frames, bounds = llff_frames(folder, rows, notes)
     test = pictures_of_list(names or [], [f.path.name for f in frames], TEST_LIST, notes)
@@ -70,7 +73,7 @@ def llff_frames(folder: Path, rows: Float[np.ndarray, "n 17"], notes: list[str])
 
 
 def _frames(folder: Path, rows: Float[np.ndarray, "n 17"], files: list[Path], notes: list[str]) -> Rows:
-    path = folder / "poses_bounds.npy"
+    path = folder / POSES
     headers = [read_header(file) for file in files]
     grey = sum(header.grey for header in headers)
     if grey:
@@ -153,6 +156,13 @@ def largest_pictures(folder: Path, count: int | None, key: Callable[[str], Any] 
             seen.append(f"images{factor} {len(files)}")
     expected = f"{count} pictures" if count is not None else "pictures"
     wrong = f"{folder}: expected {expected} in images, images_2, images_4 or images_8"
+    clips = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in CLIP_SUFFIXES)
+    if clips and not seen:
+        text = (
+            f"{wrong}, found {len(clips)} clips ({some(clips)}): a capture of fixed cameras; name them in "
+            f"capture.cameras, {POSES} in calibration.rig.given, and a sweep of the scene at rest in capture.static"
+        )
+        raise CaptureError("count-mismatch", text)
     text = f"{wrong}, found {', '.join(seen) or 'none'}; each row of the poses is one picture"
     raise CaptureError("count-mismatch", text)
 

@@ -203,5 +203,5 @@ def with_clock_cues(frames: CameraFrames, sound: Sound | None, path: Path, whole
         notes.append(f"sound starts {1e3 * sound.start_s:+.0f} ms from the file's start; counted")
     shown = [f.time_s for f in frames.frames if f.time_s is not None]
     lasts_s = max(shown) - min(shown) if whole and shown else 0.0
-    faults = (*frames.faults, *length_faults(lasts_s, sound.end_s - sound.start_s))
+    faults = (*frames.faults, *length_faults(lasts_s, sound.end_s - sound.start_s, frames.fps_mean))
     return replace(frames, has_audio=True, audio_start_s=sound.start_s, notes=tuple(notes), faults=faults)

@@ -18,7 +18,9 @@ from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.photos.raw import RAW_SUFFIXES
 from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
 from devrf.capture.projection import Projection, projection_of
+from devrf.capture.system.doubles import doubles
 from devrf.capture.system.errors import CaptureError
+from devrf.capture.system.file_names import CLIP_SUFFIXES
 from devrf.capture.system.spread import spread
 from devrf.capture.video.reader import probe_video
 from devrf.capture.video.sampled import picture_times, read_runs, spread_starts
@@ -28,9 +30,7 @@ End = Literal["start", "end"]
 ENDS: tuple[End, ...] = ("start", "end")  # of a clip
 
 KINDS: dict[str, frozenset[str]] = {
-    "clips": frozenset(
-        ".mp4 .mov .mkv .avi .m4v .mts .m2ts .ts .mxf .webm .mpg .mpeg .wmv .3gp .insv".split()
-    ),
+    "clips": CLIP_SUFFIXES,
     "photos": frozenset(PICTURE_SUFFIXES) | frozenset(RAW_SUFFIXES),
     "sounds": frozenset(".wav .mp3 .m4a .aac .flac .ogg".split()),
     "tables": frozenset((".csv",)),
@@ -179,6 +179,8 @@ def _look_at_photos(folder: Path, count: int) -> Look:
     size = max(dict.fromkeys(sizes), key=sizes.count)
     pictures = tuple(picture for own, picture in read if own == size)
     notes = (f"photos of {len(set(sizes))} sizes",) if len(set(sizes)) > 1 else ()
+    copies = doubles(photos)
+    notes += (f"{len(copies)} of them are copies of others",) if copies else ()
     exif, kind = headers[0].exif, projection_of([header.projection for header in headers], pictures)
     device = "" if exif is None else exif.device
     return Look(folder, False, *size, len(photos), False, device, notes, np.zeros(0), pictures, kind)

@@ -5,9 +5,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
+from jaxtyping import UInt8
 
 from devrf.capture.colour.light_course import clipped_share, highlight_faults
+from devrf.capture.colour.photo_profile import PhotoSpace
 from devrf.capture.exif import Exif
 from devrf.capture.frames import (
     CameraFrames,
@@ -35,8 +38,12 @@ from devrf.capture.projection import (
 )
 from devrf.capture.system.progress import Progress, no_progress
 
+ONCE: tuple[Role, ...] = ("sweep", "board")  # of which the same picture twice tells nothing more
+# Two photos are one picture where they differ by less, root mean square of levels at this size: copies coded anew
+# differ by 0.6, neighbours of sweeps by 2.4 and more (two photos from one place: 1.0).
+SAME_LEVEL, SAME_SIZE = 0.8, (64, 48)
+SHOWS = 4.0  # standard deviation of levels: with less nothing is seen that could be told apart
 FEWEST_OF_A_SIZE = 5  # photos of a sweep; fewer leave their focal length to chance
-LEAST_GAMMA = 1.6  # the curves of displays and cameras are 1.8 to 2.4; less is linear light or a logarithm
 
 Size = tuple[int, int]
 
@@ -50,10 +57,11 @@ class _Photo:
         file: Relative to the ingest folder.
         size: Width and height, upright, pixels.
         sharpness: As of frames.
+        grey: Small, of one size for all, levels.
         level: Median brightness, 0 to 255.
         upright: How it was turned; own: what its tag asks for.
         exif: Its tags, or None.
-        gamma: Of its curve, where the file names one.
+        space: What its levels meant in the file, where that was not sRGB.
         clipped: Share at white; None of RAW photos, whose sidecar has it.
         small: The picture, small; of RAW photos None.
         projection: As of `PictureInfo`.
@@ -63,11 +71,12 @@ class _Photo:
     file: str
     size: Size
     sharpness: float
+    grey: UInt8[np.ndarray, "48 64"]
     level: float
     upright: Upright
     own: Upright
     exif: Exif | None = None
-    gamma: float | None = None
+    space: PhotoSpace | None = None
     clipped: float | None = None
     small: Picture | None = None
     projection: Projection | None = None
@@ -86,9 +95,9 @@ def extract_folder(
 ) -> CameraFrames:
     """Put a folder of photos upright into `out/frames/<name>`; see `clips.extract_clip` for the arguments.
 
-    Photos of one camera are turned alike, as most of them ask for. Those of another size than most are not used,
-    because one set of intrinsics must fit all; in a sweep, a size of which there are enough photos to fix its
-    intrinsics is a camera of its own.
+    A picture that is there twice is used once. Photos of one camera are turned alike, as most of them ask for. Those of
+    another size than most are not used, because one set of intrinsics must fit all; in a sweep, a size of which there
+    are enough photos to fix its intrinsics is a camera of its own.
 
     Raises:
         InputError: If the folder or a photo cannot be read.
@@ -97,10 +106,11 @@ def extract_folder(
     (out / "frames" / name).mkdir(parents=True, exist_ok=True)
     pictures = list_pictures(path)
     photos = list(_put(pictures, out, name, white_balance, progress, workers))
-    counts = Counter(photo.size for photo in photos)
+    copies = _copies(photos) if role in ONCE else {}
+    counts = Counter(photo.size for i, photo in enumerate(photos) if i not in copies)
     size = counts.most_common(1)[0][0]
     taken = {s for s, n in counts.items() if s == size or (role == "sweep" and n >= FEWEST_OF_A_SIZE)}
-    alike = [i for i, photo in enumerate(photos) if photo.size in taken]
+    alike = [i for i, photo in enumerate(photos) if photo.size in taken and i not in copies]
     chosen = {alike[k] for k in sharpest_per_window([photos[i].sharpness for i in alike], most or len(alike))}
     records = []
     for i, photo in enumerate(photos):
@@ -115,7 +125,7 @@ def extract_folder(
     kind = projection_of(
         (p.projection for p in main), [p.small for p in main if p.small is not None][:ENOUGH]
     )
-    faults = [*projection_faults(kind), *unread_faults(path), *_curve_fault(photos)]
+    faults = [*projection_faults(kind), *unread_faults(path), *_space_faults(photos)]
     if role == "sweep":  # a board is white paper
         faults += highlight_faults([photo.clipped for photo in photos if photo.clipped is not None])
     return CameraFrames(
@@ -131,7 +141,7 @@ def extract_folder(
         mirrored=main[0].upright.mirrored,
         frames=tuple(records),
         level=float(np.median([photo.level for photo in photos])),
-        notes=(*numbering(pictures), *_notes(photos, counts, taken)),
+        notes=(*numbering(pictures), *_copies_note(photos, copies), *_notes(photos, counts, taken)),
         faults=tuple(faults),
     )
 
@@ -156,7 +166,14 @@ def _put(
             size, grey = (photo.width, photo.height), photo.grey
             level = float(np.median(grey))
             yield _Photo(
-                picture.name, photo.file, size, sharpness(grey), level, photo.upright, infos[i].upright
+                picture.name,
+                photo.file,
+                size,
+                sharpness(grey),
+                _same_size(grey),
+                level,
+                photo.upright,
+                infos[i].upright,
             )
             continue
         info, rgb = infos[i], read_picture(picture, turns[i])
@@ -167,15 +184,49 @@ def _put(
             file=file,
             size=(rgb.shape[1], rgb.shape[0]),
             sharpness=sharpness(grey),
+            grey=_same_size(grey),
             level=float(np.median(grey)),
             upright=turns[i],
             own=info.upright,
             exif=info.exif,
-            gamma=info.gamma,
+            space=info.space,
             clipped=clipped_share(rgb[:, :, :3]),
             small=shrunk(rgb[:, :, :3], SIDE_PX),
             projection=info.projection,
         )
+
+
+def _same_size(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "48 64"]:
+    return cv2.resize(grey, SAME_SIZE, interpolation=cv2.INTER_AREA).astype(np.uint8)
+
+
+def _copies(photos: list[_Photo]) -> dict[int, int]:
+    """Photos that show the very picture of another one, to the byte or coded anew: number -> that of the other.
+
+    The largest is kept, of equal ones that which still has its tags, then that of the shortest name.
+    """
+    rows = np.stack([photo.grey.ravel() for photo in photos]).astype(np.float32)
+    shows = rows.std(axis=1) > SHOWS
+
+    def worth(i: int) -> tuple[int, bool, int, int]:
+        exif = photos[i].exif
+        return -photos[i].size[0] * photos[i].size[1], exif is None or not exif.device, len(photos[i].name), i
+
+    copies: dict[int, int] = {}
+    for i in range(len(photos)):
+        off = np.sqrt(np.square(rows - rows[i]).mean(axis=1))
+        same = [k for k in np.flatnonzero((off < SAME_LEVEL) & shows & shows[i]).tolist() if k != i]
+        best = min([i, *same], key=worth)
+        if best != i:
+            copies[i] = best
+    return copies
+
+
+def _copies_note(photos: list[_Photo], copies: dict[int, int]) -> list[str]:
+    if not copies:
+        return []
+    which = some([f"{photos[i].name} of {photos[other].name}" for i, other in copies.items()])
+    return [f"{len(copies)} of {len(photos)} photos are copies of others and are not used: {which}"]
 
 
 def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> list[str]:
@@ -189,6 +240,9 @@ def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> lis
             f"{len(other)} photos say another turn than most of their camera and are turned like these, because a lens "
             f"belongs to the picture as it is stored: {some(other)}"
         )
+    for name in dict.fromkeys(s.name for p in photos if (s := p.space) is not None and s.light is not None):
+        inside = [photo.name for photo in photos if photo.space is not None and photo.space.name == name]
+        notes.append(f"{len(inside)} of {len(photos)} photos are brought from {name} to sRGB: {some(inside)}")
     if len(taken) > 1:
         notes.append(f"photos of several sizes, a camera each: {_sizes(counts, taken)}")
     if len(taken) < len(counts):
@@ -200,15 +254,19 @@ def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> lis
     return notes
 
 
-def _curve_fault(photos: list[_Photo]) -> list[Measure]:
-    """Photos that say they hold something like linear light."""
-    other = [photo for photo in photos if photo.gamma is not None and photo.gamma < LEAST_GAMMA]
-    if not other:
-        return []
-    gamma = (
-        f"{len(other)} of {len(photos)} photos name a gamma of {other[0].gamma:.2g}, all are taken as sRGB"
-    )
-    return [Measure("coding", f"{gamma}: {some([photo.name for photo in other])}", why="linear")]
+def _space_faults(photos: list[_Photo]) -> list[Measure]:
+    """Photos whose levels mean what cannot be told, or something like linear light."""
+    faults = []
+    for why, words, meant in (
+        ("profile", "have a colour profile that is not read", lambda space: space.light is None),
+        ("linear", "hold linear light, by", lambda space: space.linear),
+    ):
+        found = [p for p in photos if p.space is not None and meant(p.space)]
+        if found:
+            names = ", ".join(dict.fromkeys(p.space.name for p in found if p.space is not None))
+            text = f"{len(found)} of {len(photos)} photos {words} ({names}): {some([p.name for p in found])}"
+            faults.append(Measure("coding", text, why=why))
+    return faults
 
 
 def _sizes(counts: Counter[Size], which: set[Size]) -> str:

@@ -10,7 +10,9 @@ from devrf.capture.frames import some
 from devrf.capture.measure import Measure
 from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.photos.raw import is_raw
+from devrf.capture.system.amounts import counted
 from devrf.capture.system.errors import InputError
+from devrf.capture.system.file_names import CLIP_SUFFIXES
 
 UNREAD_KINDS = {  # need a decoder that is not a dependency
     ".heic": "HEIC",
@@ -49,9 +51,15 @@ def list_pictures(folder: Path) -> list[Path]:
         )
     inside = {p.name: sum(len(_photos(part)) for part in _parts(p)) for p in _folders(folder)}
     if any(inside.values()):
-        counted = ", ".join(f"{count} in {name}" for name, count in inside.items() if count)
-        text = f"{folder}: no pictures in this folder itself, but {counted}; name one of these, or put them together"
+        where = ", ".join(f"{count} in {name}" for name, count in inside.items() if count)
+        text = f"{folder}: no pictures in this folder itself, but {where}; name one of these, or put them together"
         raise InputError("pictures-inside", text)
+    clips = [p.name for p in _files(folder) if p.suffix.lower() in CLIP_SUFFIXES]
+    if clips:
+        text = f"{folder}: no pictures, but {counted(len(clips), 'clip')} ({some(clips)})"
+        taken = f"`ffmpeg -i {clips[0]} -vf fps=2 -q:v 2 {Path(clips[0]).stem}_%04d.jpg`, of each into this folder"
+        more = f"; of several clips of one camera take pictures, {taken}" if len(clips) > 1 else ""
+        raise InputError("pictures-none", f"{text}; name one clip: {folder.name}/{clips[0]}{more}")
     kinds = ", ".join(sorted({p.suffix or p.name for p in _files(folder)})[:6]) or "nothing"
     text = f"{folder}: no pictures in this folder (it holds: {kinds}); expected JPEG, PNG or RAW files"
     raise InputError("pictures-none", text)

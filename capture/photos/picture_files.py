@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, ImageFile, UnidentifiedImageError
 
+from devrf.capture.colour.photo_profile import as_srgb, photo_space
 from devrf.capture.system.cores import usable_cores
 from devrf.capture.system.errors import CaptureError, DevrfError
 from devrf.capture.system.limits import check_pixels
@@ -71,24 +72,13 @@ def open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
 
 
 def read_pixels(path: Path) -> UInt8[np.ndarray, "height width channels"]:
-    """RGB, or RGBA where the file has transparency; grey becomes RGB, 16 bits are rounded to 8.
+    """sRGB, with transparency where the file has it; grey becomes RGB, 16 bits are rounded to 8.
 
     Raises:
         CaptureError: The file is missing, damaged or not a picture.
     """
     with open_picture(path) as image:
-        if image.mode in DEEP_GREY:
-            grey = _rounded(np.asarray(image))
-            return grey[:, :, None].repeat(3, axis=2)
-        if image.mode == "F":
-            wrong = f"{path}: its pixels are real numbers, expected 8 or 16 bits"
-            raise CaptureError("picture-kind-unread", f"{wrong}; make it again or remove it from the set")
-        deep = _deep_colour(path, image)
-        if deep is not None:
-            return deep
-        keyed = image.mode in KEYED and "transparency" in image.info
-        mode = "RGBA" if keyed or image.mode in WITH_ALPHA else "RGB"
-        return np.array(image if image.mode == mode else image.convert(mode))
+        return as_srgb(_stored(path, image), photo_space(image))
 
 
 def damaged_pictures(paths: Iterable[Path]) -> list[str]:
@@ -122,6 +112,22 @@ def _kind_unread(path: Path) -> str | None:
     with path.open("rb") as file:
         head = file.read(16)
     return next((kind for at, start, kind in UNREAD_STARTS if head[at : at + len(start)] == start), None)
+
+
+def _stored(path: Path, image: ImageFile.ImageFile) -> UInt8[np.ndarray, "height width channels"]:
+    """Levels as they are stored, as RGB or RGBA."""
+    if image.mode in DEEP_GREY:
+        grey = _rounded(np.asarray(image))
+        return grey[:, :, None].repeat(3, axis=2)
+    if image.mode == "F":
+        wrong = f"{path}: its pixels are real numbers, expected 8 or 16 bits"
+        raise CaptureError("picture-kind-unread", f"{wrong}; make it again or remove it from the set")
+    deep = _deep_colour(path, image)
+    if deep is not None:
+        return deep
+    keyed = image.mode in KEYED and "transparency" in image.info
+    mode = "RGBA" if keyed or image.mode in WITH_ALPHA else "RGB"
+    return np.array(image if image.mode == mode else image.convert(mode))
 
 
 def _deep_colour(path: Path, image: ImageFile.ImageFile) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""Photos, upright.
+"""Photos, upright and in sRGB.
 
 A photo's EXIF orientation is applied once, here; files that need no turn are taken as they are. A lens belongs to the
 stored picture, and cameras that look down guess their turn: so all photos of a camera are turned alike
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import ExifTags, Image
 
-from devrf.capture.colour.photo_curve import declared_gamma
+from devrf.capture.colour.photo_profile import PhotoSpace, as_srgb, photo_space
 from devrf.capture.exif import Exif, read_exif, tags_of
 from devrf.capture.orientation import Upright, by_exif
 from devrf.capture.photos.picture_files import JPEG_SUFFIXES, open_picture
@@ -40,7 +40,7 @@ class PictureInfo:
         width, height: Size of the picture that its tag makes upright, pixels.
         upright: The turn and mirror that its tag asks for.
         exif: What its tags say of device, lens and place; None for RAW files.
-        gamma: Exponent from its levels to light, where the file names one.
+        space: What its levels mean, where that is not sRGB.
         projection: What its tags say of pictures that are no lens's; None: nothing.
     """
 
@@ -49,7 +49,7 @@ class PictureInfo:
     height: int
     upright: Upright
     exif: Exif | None
-    gamma: float | None = None
+    space: PhotoSpace | None = None
     projection: Projection | None = None
 
 
@@ -68,7 +68,7 @@ def probe_picture(path: Path) -> PictureInfo:
         upright = _own(image)
         size = image.size if image.format in TURNED_BY_READERS else upright.size(*image.size)
         said = of_xmp(image.info.get("xmp"))
-        return PictureInfo(path, *size, upright, read_exif(image), declared_gamma(image), said)
+        return PictureInfo(path, *size, upright, read_exif(image), photo_space(image), said)
 
 
 def shared_turns(infos: Sequence[PictureInfo]) -> list[Upright]:
@@ -84,7 +84,7 @@ def shared_turns(infos: Sequence[PictureInfo]) -> list[Upright]:
 
 
 def read_picture(path: Path, upright: Upright | None = None) -> UInt8[np.ndarray, "height width channels"]:
-    """Read a photo upright: RGB, or RGBA where the file has transparency; 16 bits are rounded to 8.
+    """Read a photo upright: sRGB, with transparency where the file has it; 16 bits are rounded to 8.
 
     A RAW file is developed as a set of its own (`capture.raw_set` develops a folder by one recipe).
 
@@ -99,7 +99,7 @@ def read_picture(path: Path, upright: Upright | None = None) -> UInt8[np.ndarray
         rgb, own = develop(path).rgb, read_layout(path).upright
         return rgb if upright is None else own.inverse.then(upright).apply(rgb)
     with open_picture(path) as header:
-        own = _own(header)
+        own, space = _own(header), photo_space(header)
         turned = header.format in TURNED_BY_READERS
     image = _decoded(path, cv2.IMREAD_UNCHANGED)
     if image is None:
@@ -112,7 +112,7 @@ def read_picture(path: Path, upright: Upright | None = None) -> UInt8[np.ndarray
     in_order = cv2.cvtColor(image, TO_RGB[image.shape[2] if image.ndim == 3 else 1])
     wanted = own if upright is None else upright
     turn = own.inverse.then(wanted) if turned else wanted
-    return np.ascontiguousarray(turn.apply(in_order)).astype(np.uint8, copy=False)
+    return np.ascontiguousarray(turn.apply(as_srgb(in_order, space))).astype(np.uint8, copy=False)
 
 
 def read_grey(path: Path) -> UInt8[np.ndarray, "height width"]:
@@ -135,12 +135,14 @@ def read_grey(path: Path) -> UInt8[np.ndarray, "height width"]:
 def copy_upright(info: PictureInfo, upright: Upright, folder: Path, stem: str) -> str:
     """Put one photo, turned so, into `folder` as `stem` plus suffix; the name of the file written.
 
-    JPEG and 8-bit PNG files that are upright and say so are copied bit by bit. Others are written again, without tags.
+    JPEG and 8-bit PNG files that are upright, in sRGB and say so are copied bit by bit. Others are written again,
+    without tags.
     """
     suffix = info.path.suffix.lower()
     if (
         upright.nothing
         and info.upright.nothing
+        and (info.space is None or info.space.light is None)
         and (suffix in JPEG_SUFFIXES or (suffix == ".png" and _is_8_bit(info.path)))
     ):
         name = stem + (".jpg" if suffix in JPEG_SUFFIXES else ".png")

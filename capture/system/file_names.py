@@ -5,6 +5,10 @@ import unicodedata
 
 LONGEST = 200  # bytes; file systems take 255, and suffixes follow
 
+CLIP_SUFFIXES = frozenset(
+    ".mp4 .mov .mkv .avi .m4v .mts .m2ts .ts .mxf .webm .mpg .mpeg .wmv .3gp .insv".split()
+)
+
 
 def is_safe(text: str, marks: str = "_-") -> bool:
     """Whether all of a text are letters, digits and these marks, and it is not too long for a file's name."""

@@ -19,13 +19,21 @@ from av.error import EOFError as EndOfFile
 from av.error import FFmpegError
 from jaxtyping import Int, UInt8
 
+from devrf.capture.colour.primaries import NAMES
 from devrf.capture.orientation import Upright, by_display_matrix
 from devrf.capture.projection import Projection, of_sphere
 from devrf.capture.system.errors import CaptureError, InputError
 from devrf.capture.system.limits import check_span
 from devrf.capture.video.media import open_media, origin_s, video_stream, video_streams
 from devrf.capture.video.packets import Packets, scan_packets
-from devrf.capture.video.video_colour import bgr_of, bits_of, hdr_transfer, small_luma, small_rgb
+from devrf.capture.video.video_colour import (
+    bgr_of,
+    bits_of,
+    hdr_transfer,
+    small_luma,
+    small_rgb,
+    wide_primaries,
+)
 
 END_TOLERANCE_STEPS = 2  # announced duration minus last timestamp: one step, and rounding
 END_TOLERANCE_S = 0.05  # sound may end up to two AAC blocks after the pictures
@@ -306,6 +314,8 @@ class VideoReader:
         transfer = hdr_transfer(picture)
         if transfer is not None:
             notes.append(f"HDR video ({transfer}): reference white becomes 255, brighter light is clipped")
+        elif (wide := wide_primaries(picture)) is not None:
+            notes.append(f"pictures are brought from {NAMES[wide]} to sRGB")
         duration = None
         if stream.duration is not None and stream.time_base is not None:
             duration = float(stream.duration * stream.time_base)

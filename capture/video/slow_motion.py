@@ -7,8 +7,12 @@ from devrf.capture.system.errors import InputError
 from devrf.capture.video.media import mean_fps, open_media, tag
 
 FILMED_FPS = "com.android.capture.fps"  # tag of phones: pictures a second while filming
+WHOLE_RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)  # pictures a second that cameras have
 SAME_RATE = 1.2  # rates and lengths that differ by more are not the same
-LEAST_APART_S = 1.0  # of lengths: sound that starts late or ends early by less says nothing
+LEAST_APART_S = 1.0  # of lengths: sound that starts late or ends early by less says nothing ...
+LEAST_BETWEEN_RATES_S = 0.3  # ... but where the two are as two usual rates
+ENDS_S = 0.1  # what sound starts late and ends early by in files that are in order
+LEAST_SOUND_S = 2.0  # of less it does not tell two rates apart
 WHOLE = 0.02  # a factor this near to a whole number is one
 
 
@@ -45,21 +49,31 @@ def check_filmed_rate(path: Path) -> None:
     raise InputError("clip-slow-motion", text)
 
 
-def length_faults(pictures_s: float, sound_s: float) -> list[Measure]:
-    """What to say of a clip whose pictures last as long as they do, and its sound."""
-    if min(pictures_s, sound_s) <= 0 or abs(pictures_s - sound_s) < LEAST_APART_S:
+def length_faults(pictures_s: float, sound_s: float, fps: float | None = None) -> list[Measure]:
+    """What to say of a clip whose pictures last as long as they do, and its sound; `fps`: as the file has it."""
+    if min(pictures_s, sound_s) <= 0 or abs(pictures_s - sound_s) < LEAST_BETWEEN_RATES_S:
         return []
     factor = pictures_s / sound_s
-    if is_one(factor):
+    filmed = None
+    if fps is not None and sound_s >= LEAST_SOUND_S:
+        filmed = _usual_rate(fps * factor, WHOLE / 4 + ENDS_S / sound_s)
+    far = abs(pictures_s - sound_s) >= LEAST_APART_S
+    text = f"{pictures_s:.2f} s of pictures, {sound_s:.2f} s of sound: a factor of {factor:.3g}"
+    if far and round(factor) >= 2 and abs(factor / round(factor) - 1) < WHOLE:
+        why = "slow"
+    elif filmed is not None and fps is not None and _usual_rate(fps, WHOLE) not in (None, filmed):
+        why, text = "filmed", f"{text}, as of {filmed:.4g} pictures a second written as {fps:.4g}"
+    elif not far or is_one(factor):
         return []
-    slow = round(factor) >= 2 and abs(factor / round(factor) - 1) < WHOLE
-    found = f"{pictures_s:.2f} s of pictures, {sound_s:.2f} s of sound"
-    facts = {"command": _scaled(1 / factor)}
-    return [
-        Measure(
-            "clip-times", f"{found}: a factor of {factor:.3g}", why="slow" if slow else "cut", facts=facts
-        )
-    ]
+    else:
+        why = "cut"
+    return [Measure("clip-times", text, why=why, facts={"command": _scaled(1 / factor)})]
+
+
+def _usual_rate(fps: float, tolerance: float) -> float | None:
+    """The usual rate next to one; None where it is farther off than this share. 29.97 and 30 are one."""
+    whole = min(WHOLE_RATES, key=lambda rate: abs(fps / rate - 1))
+    return whole if abs(fps / whole - 1) <= tolerance else None
 
 
 def _scaled(factor: float) -> str:

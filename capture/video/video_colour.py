@@ -2,6 +2,7 @@
 
 Eight bits are converted by swscale with the matrix and range the file names; unlabelled HD is BT.709 and smaller is
 BT.601, as players do it. More bits are converted in 16 and rounded to 8. HLG and PQ go through `tone_mapping.py`.
+Primaries of P3 and BT.2020 are brought to those of sRGB; the small ones of standard definition are taken as these.
 """
 
 import av
@@ -11,6 +12,8 @@ from av.video.plane import VideoPlane
 from av.video.reformatter import Colorspace
 from jaxtyping import Float32, UInt8
 
+from devrf.capture.colour.primaries import BT2020, CHROMATICITIES, SRGB, srgb_from_primaries, srgb_of
+from devrf.capture.colour.srgb import LINEAR_OF_LEVEL
 from devrf.capture.colour.tone_mapping import Transfer, srgb_from_hdr
 from devrf.capture.frames import shrunk
 
@@ -18,6 +21,7 @@ UNSPECIFIED_COLORSPACE = 2  # ITU-T H.273, matrix_coefficients
 HDR_TRANSFERS: dict[int, Transfer] = {16: "PQ", 18: "HLG"}  # ITU-T H.273, transfer_characteristics
 OTHER_CURVES = {8: "linear", 9: "logarithmic", 10: "logarithmic"}  # likewise; all else is near sRGB
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
+LIGHT = np.stack(3 * [LINEAR_OF_LEVEL], axis=1)
 ROUND_TO_8 = 1 / 256  # swscale's 16-bit colours are its 8-bit ones, shifted
 LUMA_FIRST = frozenset(  # formats whose first plane is luma in bytes
     f"{kind}{sub}" for kind in ("yuv", "yuvj") for sub in ("420p", "422p", "440p", "444p")
@@ -37,12 +41,16 @@ def bgr_of(picture: av.VideoFrame) -> UInt8[np.ndarray, "height width 3"]:
     """B, G, R in sRGB as stored, before the file's turn. May share memory with nothing else; owned by the caller."""
     space = colour_matrix(picture)
     transfer = hdr_transfer(picture)
-    if transfer is None and bits_of(picture) <= 8:
+    wide = wide_primaries(picture)
+    if transfer is None and wide is None and bits_of(picture) <= 8:
         return picture.to_ndarray(format="bgr24", src_colorspace=space, threads=1)
     deep = picture.to_ndarray(format="rgb48le", src_colorspace=space, threads=1)
     if transfer is not None:
-        return np.ascontiguousarray(srgb_from_hdr(deep, transfer)[..., ::-1])
-    return cv2.cvtColor(cv2.convertScaleAbs(deep, alpha=ROUND_TO_8), cv2.COLOR_RGB2BGR)
+        return np.ascontiguousarray(srgb_from_hdr(deep, transfer, wide or BT2020)[..., ::-1])
+    rgb = cv2.convertScaleAbs(deep, alpha=ROUND_TO_8)
+    if wide is not None:
+        rgb = srgb_of(rgb, LIGHT, srgb_from_primaries(wide))
+    return cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
 
 
 def colour_matrix(picture: av.VideoFrame) -> int:
@@ -56,6 +64,12 @@ def colour_matrix(picture: av.VideoFrame) -> int:
 def hdr_transfer(picture: av.VideoFrame) -> Transfer | None:
     """Which HDR curve codes this picture; None for all others."""
     return HDR_TRANSFERS.get(picture.color_trc)
+
+
+def wide_primaries(picture: av.VideoFrame) -> int | None:
+    """Which primaries wider than sRGB's this picture has; None for all others."""
+    number = picture.color_primaries
+    return number if number in CHROMATICITIES and number != SRGB else None
 
 
 def small_luma(picture: av.VideoFrame, side_px: int) -> UInt8[np.ndarray, "small_height small_width"]:

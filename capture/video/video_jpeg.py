@@ -20,6 +20,7 @@ from devrf.capture.video.video_colour import (
     hdr_transfer,
     is_full_range,
     plane_bytes,
+    wide_primaries,
 )
 
 PLANES_420 = frozenset(("yuv420p", "yuvj420p"))
@@ -29,7 +30,7 @@ MIDDLE = 128
 
 
 def jpeg_of(picture: av.VideoFrame, quality: int, upright: Upright = AS_STORED) -> bytes | None:
-    """The picture as JPEG with halved colour; None where its planes are not 4:2:0 in bytes.
+    """The picture as JPEG with halved colour; None as of `jfif_planes`.
 
     Args:
         picture: As decoded.
@@ -44,9 +45,13 @@ def jpeg_of(picture: av.VideoFrame, quality: int, upright: Upright = AS_STORED) 
 
 
 def jfif_planes(picture: av.VideoFrame) -> list[UInt8[np.ndarray, "_ _"]] | None:
-    """Full-range luma [h, w] and BT.601 colour differences [h/2, w/2] (rounded up); None where it is not 4:2:0."""
+    """Full-range luma [h, w] and BT.601 colour differences [h/2, w/2] (rounded up).
+
+    None where it is not 4:2:0, or its primaries or curve are not sRGB's.
+    """
     matrix = LUMA_SHARES.get(colour_matrix(picture))
-    if picture.format.name not in PLANES_420 or hdr_transfer(picture) is not None or matrix is None:
+    wide = hdr_transfer(picture) is not None or wide_primaries(picture) is not None
+    if picture.format.name not in PLANES_420 or wide or matrix is None:
         return None
     luma, blue, red = (plane_bytes(plane) for plane in picture.planes)
     full = is_full_range(picture)

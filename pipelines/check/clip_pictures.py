@@ -15,9 +15,10 @@ from devrf.capture.ingest.stillness import moving_mask, moving_share, smooth_gre
 from devrf.capture.ingest.survey import ENDS, Look, Picture, pictures_at, small
 from devrf.capture.measure import Measure
 from devrf.capture.photos.photo_folders import list_pictures, unread_faults
-from devrf.capture.photos.upright_pictures import read_picture
+from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
 from devrf.capture.projection import projection_faults
 from devrf.capture.rest import Rest
+from devrf.capture.system.doubles import doubles
 from devrf.capture.system.progress import Progress
 from devrf.capture.system.spread import spread
 from devrf.capture.video.audio import Sound
@@ -143,8 +144,10 @@ def camera_measures(name: str, look: Look, rest: Rest, sweep: Sequence[Features]
 
 
 def _sweep_pictures(look: Look) -> np.ndarray:
-    """About which pictures of a sweep are used [n]: one of each window of a clip, every photo."""
-    if not look.is_clip or look.count <= MAX_SWEEP_FRAMES:
+    """About which pictures of a sweep are used [n]: one of each window of a clip, every photo that is no copy."""
+    if not look.is_clip:
+        return np.setdiff1d(np.arange(look.count), list(doubles(list_pictures(look.path))))
+    if look.count <= MAX_SWEEP_FRAMES:
         return np.arange(look.count)
     return ((np.arange(MAX_SWEEP_FRAMES) + 0.5) * look.count / MAX_SWEEP_FRAMES).astype(np.int64)
 
@@ -157,7 +160,8 @@ def _read(look: Look, indices: Sequence[int], length: int = 1) -> Iterator[list[
             yield [small(frame.rgb) for frame in run]
     else:
         photos = list_pictures(look.path)
-        yield from ([small(read_picture(photos[n])[:, :, :3])] for n in indices)
+        turns = shared_turns([probe_picture(photo) for photo in photos])
+        yield from ([small(read_picture(photos[n], turns[n])[:, :, :3])] for n in indices)
 
 
 def _sharpness(picture: Picture) -> float:

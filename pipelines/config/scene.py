@@ -256,8 +256,8 @@ class StaticPosesConfig(_Section):
     """COLMAP's mapper to begin with; others are tried where it fails; both: run both, keep the better model."""
     masks: PathText | None = None
     """Folder of masks of what moves or reflects in the sweep, black is ignored: `IMG_1.jpg.png` or `IMG_1.png` by
-    photo, `000012.png` or `12.png` by frame of a film; of the picture's size, upright. Pictures without one are
-    used whole."""
+    photo, `000012.png` or `12.png` by frame of a film, counted from 0, or from 1 where they end with the number of
+    frames; of the picture's size, upright. Pictures without one are used whole."""
 
 
 class SyncConfig(_Section):

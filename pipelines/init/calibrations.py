@@ -9,7 +9,7 @@ from devrf.capture.system.errors import DevrfError
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.init.material import Roles
 
-SUFFIXES = frozenset((".toml", ".yml", ".yaml", ".xml", ".txt", ".json"))
+SUFFIXES = frozenset((".toml", ".yml", ".yaml", ".xml", ".txt", ".json", ".npy"))
 NOT_OURS = frozenset(("scene.yaml", "ground_truth.json"))  # a truth is for comparing, never for calibrating
 
 

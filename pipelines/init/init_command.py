@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from devrf.capture.formats.datasets import guess_format
+from devrf.capture.formats.datasets import DatasetFormat, guess_formats, read_dataset
 from devrf.capture.ingest.survey import Look, Material, find_material, look_at
 from devrf.capture.system.amounts import counted
 from devrf.capture.system.durable import whole
@@ -44,13 +44,18 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
         text = f"{path}: is there already; use --force to replace it, or `devrf-pipeline check {folder}`"
         raise InputError("file-exists", text)
     name = name or safe(folder.resolve().name, other="-").strip("-")[:100] or "scene"
-    dataset = guess_format(folder)
-    if dataset is not None:
-        _write(path, dataset_yaml(name, dataset))
-        talk.say(f"{folder}: a finished data set ({dataset}); wrote {path}")
-        return path
     with talk.progress("looking") as progress:
-        roles = survey(folder, find_material(folder), progress)
+        dataset, no_set = _dataset(folder)
+        if dataset is not None:
+            _write(path, dataset_yaml(name, dataset))
+            talk.say(f"{folder}: a finished data set ({dataset}); wrote {path}")
+            return path
+        material = find_material(folder)
+        if no_set is not None and not material.clips:
+            raise no_set
+        roles = survey(folder, material, progress)
+    if no_set is not None and roles.given is None:
+        roles.doubts.append(f"no finished data set, though files are called as those of one: {no_set}")
     if roles.sweep is None and not roles.cameras:
         seen = [f"  {file}: {why}" for file, why in roles.left.items()] or ["  nothing"]
         raise InputError(
@@ -70,6 +75,19 @@ def init(talk: Talk, folder: Path, name: str | None, force: bool) -> Path:
     _write(path, scene_yaml(name, roles, "tiny" if shutil.which("nvidia-smi") is None else "fast"))
     talk.say(f"wrote {path}; look through it, then: devrf-pipeline check {path}", style="bold")
     return path
+
+
+def _dataset(folder: Path) -> tuple[DatasetFormat | None, InputError | None]:
+    """Which data set a folder is: one that can be read; else why not, of the likeliest."""
+    why = None
+    for dataset in guess_formats(folder):
+        try:
+            read_dataset(dataset, folder)
+        except DevrfError as error:
+            why = why or InputError(error.code, f"{error} (looked at as a data set, {dataset})")
+        else:
+            return dataset, None
+    return None, why
 
 
 def survey(folder: Path, material: Material, progress: Progress) -> Roles:

@@ -8,9 +8,22 @@ from devrf.capture.ingest.recordings import chapters, is_of_photo, join_command,
 from devrf.capture.ingest.survey import PREVIEWS, UNREAD_CLIPS, Material
 from devrf.capture.photos.photo_folders import CONVERT, UNREAD_KINDS
 from devrf.capture.system.amounts import counted
+from devrf.capture.system.doubles import doubles
 from devrf.capture.system.errors import DevrfError
 from devrf.capture.video.reader import probe_video
 
+LAYOUTS = {  # public ones that no reader is for, by what lies in the folder
+    (
+        "dataset.json",
+        "camera",
+    ): "as Nerfies, HyperNeRF and DyCheck have it: one camera that films the scene in motion. "
+    "Its poses are not read; a sweep of the scene at rest and clips of fixed cameras are missing",
+    (
+        "train_meta.json",
+        "ims",
+    ): "as Dynamic 3D Gaussians has it, which is not read: its cameras are folders of "
+    "pictures. Make a clip of each, `ffmpeg -framerate 30 -i ims/0/%06d.jpg -crf 12 0.mp4`, and film a sweep",
+}
 SMALLER = 0.999  # of the width of the clip of which it is a copy
 
 
@@ -35,10 +48,14 @@ def sort_clips(folder: Path, material: Material) -> Sorted:
     photos = [photo for listed in (*material.photos.values(), material.unreadable) for photo in listed]
     live: list[Path] = []
     later: dict[Path, str] = {}  # chapter -> name of the first one
+    by_length = sorted(material.clips, key=lambda clip: (len(clip.name), clip))  # copies have longer names
+    copies = {by_length[n]: by_length[first] for n, first in doubles(by_length).items()}
     for clip in material.clips:
         name, width, duration_s = clip.relative_to(folder).as_posix(), *_size(clip)
         copied = small_copy_of(clip, material.clips)
-        if is_of_photo(clip, photos, duration_s):
+        if clip in copies:
+            out.left[name] = f"a copy of {copies[clip].relative_to(folder).as_posix()}"
+        elif is_of_photo(clip, photos, duration_s):
             live.append(clip)
         elif copied is not None and width <= SMALLER * _size(copied)[0]:
             out.left[name] = f"a small copy (proxy) of {copied.relative_to(folder).as_posix()}"
@@ -61,7 +78,9 @@ def sort_clips(folder: Path, material: Material) -> Sorted:
 
 def not_read(folder: Path, material: Material) -> dict[str, str]:
     """Files that are not read, by folder and kind, with what to do."""
-    left: dict[str, str] = {}
+    left = {
+        signs[0]: why for signs, why in LAYOUTS.items() if all((folder / sign).exists() for sign in signs)
+    }
     for kind in dict.fromkeys(UNREAD_KINDS.values()):
         files = [f for f in material.unreadable if UNREAD_KINDS.get(f.suffix.lower()) == kind]
         left |= _by_folder(folder, files, f"{kind}, which is not read; {CONVERT}", "photo")

@@ -98,7 +98,8 @@ def recover_sweep(
             called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
             re_turned = {n: frame.re_turned for n, frame in used.items()}
             folder = SceneConfig.path(scene_dir, config.masks)
-            without = prepare_masks(folder, called, sizes, Path(masks), re_turned)
+            count = len(sweep.frames) if film else None
+            without = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
         model = recover_static_poses(
             ingest / "frames",
             device_groups(sizes, exif, known, sweep.pixel_aspect, turns),

@@ -53,7 +53,7 @@ def rig_cameras() -> dict[str, Camera]:
 def written(format_name: str, folder: Path) -> tuple[dict[str, Camera], Path]:
     """The cameras, written; and what a user names in calibration.rig.given."""
     cameras = rig_cameras()
-    if format_name == "easymocap":  # cannot say that a lens is a fisheye
+    if format_name in ("easymocap", "panoptic"):  # cannot say that a lens is a fisheye
         del cameras[FISHEYE]
     if format_name == "kalibr":  # its lens has no k3, its world is its first camera
         cameras = {n: replace(c, distortion=c.distortion * [1, 1, 1, 1, 0]) for n, c in cameras.items()}
@@ -85,6 +85,42 @@ def test_written_and_read_back_it_is_the_same_rig(format_name: str, tmp_path: Pa
         assert np.isfinite(pixels).all() and back.model == camera.model
         np.testing.assert_allclose(back.project(grid), pixels, rtol=0, atol=EXACT_PX)
         assert (back.width, back.height) == (camera.width, camera.height)
+
+
+def test_poses_of_llff_belong_to_the_clips_beside_them(tmp_path: Path) -> None:
+    """By the order of their names; without clips a row has no camera's name, and all are taken in order."""
+    cameras = {f"cam{n:02d}": c for n, c in zip((0, 3, 20), rig_cameras().values(), strict=False)}
+    rows = []
+    for camera in cameras.values():
+        pose = np.linalg.inv(np.vstack([camera.cam_from_world, [0, 0, 0, 1]]))
+        hwf = [camera.height, camera.width, camera.K[0, 0]]
+        rows.append(
+            [*np.column_stack([pose[:3, 1], pose[:3, 0], -pose[:3, 2], pose[:3, 3], hwf]).ravel(), 1.0, 5.0]
+        )
+    np.save(tmp_path / "poses_bounds.npy", np.array(rows))
+    for name in cameras:
+        (tmp_path / f"{name}.mp4").touch()
+    sizes = {n: (c.width, c.height) for n, c in cameras.items()}
+    for names in (list(cameras), ["cam20"]):
+        rig = read_given(tmp_path / "poses_bounds.npy", names, sizes).rig
+        assert rig is not None and not rig.scale.metric
+        for name in names:
+            got = rig.cameras[name].camera
+            np.testing.assert_allclose(got.cam_from_world, cameras[name].cam_from_world, atol=1e-9)
+            assert got.K[0, 0] == cameras[name].K[0, 0] and got.K[0, 2] == got.width / 2
+    for name in cameras:
+        (tmp_path / f"{name}.mp4").unlink()
+    with refused("camera-missing", "cam20", kind=InputError):
+        read_given(tmp_path / "poses_bounds.npy", ["cam20"], sizes)
+    np.save(tmp_path / "poses_bounds.npy", np.zeros((2, 3)))
+    with refused("table-wrong", "poses_bounds.npy", kind=InputError):
+        read_given(tmp_path / "poses_bounds.npy", ["cam20"], sizes)
+
+
+def test_json_of_another_program_is_told_what_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text('{"Calibration": {"cameras": []}}')
+    with refused("file-damaged", "a.json", "multical", "OpenCV", kind=InputError):
+        read_given(tmp_path / "a.json", ["cam0"], {"cam0": (640, 480)})
 
 
 def opencv_pixels(K: object, lens: object, rotation: object, t: object, fisheye: bool) -> np.ndarray:

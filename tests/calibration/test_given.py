@@ -69,6 +69,12 @@ def test_our_own_rig_keeps_its_doubts(tmp_path: Path) -> None:
             {"cam01": 500, "cam02": 501},
             "matched by number",
         ),
+        (
+            ("00_00", "00_03", "00_10"),
+            ("hd_00_03", "hd_00_00"),
+            {"hd_00_03": 501, "hd_00_00": 500},
+            "matched by the end of the name",
+        ),
         (("cam0", "cam1"), ("left", "right"), {"left": 500, "right": 501}, "matched by order"),
         (("cam0", "cam1"), ("camA", "camB"), {"camA": 500, "camB": 501}, "matched by order"),
     ],

@@ -16,6 +16,7 @@ from devrf.capture.exif import Exif, Place
 from devrf.capture.frames import FrameSet
 from devrf.capture.orientation import Upright
 from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.photos.upright_pictures import probe_picture
 from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.scene import SceneConfig
@@ -106,6 +107,23 @@ def test_masks_by_any_of_a_pictures_names(tmp_path, name):
     written = cv2.imread(str(tmp_path / "out" / "static" / "000000.jpg.png"), cv2.IMREAD_GRAYSCALE)
     assert written is not None and set(np.unique(written)) == {0, 255}
     assert not written[:, :102].any() and written[:, 103:].all()  # grown by 1 % of 200 pixels
+
+
+@pytest.mark.parametrize(
+    ("numbers", "masked"), [(range(1, 5), [0, 2]), (range(4), [1, 3]), (range(1, 4), [1, 3])]
+)
+def test_masks_of_a_film_may_be_numbered_from_1(tmp_path, numbers, masked):
+    """Only where they are as many as its frames: then every mask is that of the frame before its number."""
+    folder = tmp_path / "masks"
+    folder.mkdir()
+    for k in numbers:  # masks of odd numbers ignore half of the picture
+        cv2.imwrite(str(folder / f"{k:04d}.png"), half() if k % 2 else np.full((100, 200), 255, np.uint8))
+    pictures = {f"static/{n:06d}.jpg": f"{n:06d}.jpg" for n in range(4)}
+    sizes = dict.fromkeys(pictures, (200, 100))
+    without = prepare_masks(folder, pictures, sizes, tmp_path / "out", count=4)
+    given = [n for n, name in enumerate(pictures) if name not in without]
+    black = [n for n in given if not read_pixels(tmp_path / f"out/static/{n:06d}.jpg.png").all()]
+    assert black == masked
 
 
 def test_bad_masks_are_named(tmp_path):

@@ -86,7 +86,7 @@ def test_mixed_sizes_are_reported_and_transparency_kept(tmp_path):
     folder.mkdir()
     rgba = np.random.default_rng(0).integers(0, 255, (20, 30, 4)).astype(np.uint8)
     for i in range(3):
-        write_picture(folder / f"{i}.png", rgba)
+        write_picture(folder / f"{i}.png", np.roll(rgba, i, axis=0))
     write_picture(folder / "3.png", rgba[:10])
     frames = extract_folder(folder, tmp_path, "static", "sweep", "in")
     assert [f.used for f in frames.frames] == [True, True, True, False]

@@ -44,6 +44,15 @@ def test_a_folder_of_folders_names_them_with_their_photos(tmp_path):
         list_pictures(tmp_path)
 
 
+def test_a_folder_of_clips_names_them(tmp_path):
+    touch(tmp_path, "a.MP4")
+    with refused("pictures-none", "1 clip", f"{tmp_path.name}/a.MP4"):
+        list_pictures(tmp_path)
+    touch(tmp_path, "b.mov")
+    with refused("pictures-none", "2 clips", "a.MP4, b.mov", "ffmpeg -i a.MP4 -vf fps=2"):
+        list_pictures(tmp_path)
+
+
 def test_a_folder_of_what_is_not_read(tmp_path):
     touch(tmp_path, "a.heic", "b.jxl")
     with refused("picture-kind-unread", "1 HEIC", "1 JPEG XL", "JPEG"):

@@ -1,67 +1,119 @@
 """Folders of photos: curves that their files name, and what photos are called in messages."""
 
 import struct
+from io import BytesIO
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image, ImageCms
+from PIL import ExifTags, Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
+from tests.make.pictures import fixed, icc_profile
 from tests.refused import refused
 
 from devrf.calibration.sweep.masks import prepare_masks
-from devrf.capture.colour.photo_curve import declared_gamma
+from devrf.capture.colour.photo_profile import SRGB_IN_D50
 from devrf.capture.mattes.given import read_given
-from devrf.capture.orientation import by_exif
+from devrf.capture.orientation import Upright, by_exif
 from devrf.capture.photos.extract import extract_folder
 from devrf.capture.photos.picture_files import read_pixels, write_png
-from devrf.capture.photos.upright_pictures import read_grey, read_picture, write_picture
+from devrf.capture.photos.upright_pictures import (
+    copy_upright,
+    probe_picture,
+    read_grey,
+    read_picture,
+    write_picture,
+)
 from devrf.capture.system.errors import CaptureError
 
 PICTURE = Image.fromarray(np.full((24, 32, 3), 90, np.uint8))
-
-
-def profile(curve: bytes) -> bytes:
-    """An ICC profile of nothing but a green curve (ICC.1:2022, 7.2 to 7.3 and 10)."""
-    return bytes(128) + struct.pack(">I4sII", 1, b"gTRC", 144, len(curve)) + curve
-
-
-CURVES = {
-    "linear": (b"curv" + bytes(4) + struct.pack(">I", 0), 1.0),
-    "gamma": (b"curv" + bytes(4) + struct.pack(">IH", 1, round(1.8 * 256)), 1.8),
-    "formula": (b"para" + bytes(4) + struct.pack(">HHi", 0, 0, round(2.2 * 65536)), 2.2),
-    "table": (
-        b"curv" + bytes(4) + struct.pack(">I257H", 257, *(round(65535 * (n / 256) ** 2) for n in range(257))),
-        2.0,
-    ),
-    "cut short": (b"curv" + bytes(4) + struct.pack(">I", 9), None),
-    "unknown": (b"mft2" + bytes(8), None),
+CUBE = np.stack(np.meshgrid(*3 * [np.arange(0, 256, 15, dtype=np.uint8)], indexing="ij"), -1).reshape(
+    18, -1, 3
+)
+SRGB = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+SRGB_CURVE = b"para" + bytes(4) + struct.pack(">HH", 3, 0)
+SRGB_CURVE += fixed(2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+GAMMA = b"curv" + bytes(4) + struct.pack(">IH", 1, 563)
+LINEAR = b"curv" + bytes(4) + struct.pack(">I", 0)
+SQUARE = b"curv" + bytes(4) + struct.pack(">I257H", 257, *(round(65535 * (n / 256) ** 2) for n in range(257)))
+P3 = np.array([[0.5151, 0.2920, 0.1571], [0.2412, 0.6922, 0.0666], [-0.0011, 0.0419, 0.7841]])  # in D50
+ADOBE = np.array([[0.6097, 0.2053, 0.1492], [0.3111, 0.6257, 0.0632], [0.0195, 0.0609, 0.7446]])
+ICC = {
+    "Display P3": (P3, SRGB_CURVE),
+    "Adobe RGB": (ADOBE, GAMMA),
+    "squares": (P3, SQUARE),
+    "linear": (SRGB_IN_D50, LINEAR),
 }
 
 
-@pytest.mark.parametrize("name", CURVES)
-def test_curves_of_profiles(tmp_path, name):
-    curve, gamma = CURVES[name]
-    PICTURE.save(tmp_path / "a.tif", icc_profile=profile(curve))
-    with Image.open(tmp_path / "a.tif") as image:
-        # 8 bits after the point
-        assert declared_gamma(image) == (gamma and pytest.approx(gamma, abs=1 / 256))
+@pytest.mark.parametrize("name", ICC)
+def test_colours_of_a_profile_are_those_of_littlecms(tmp_path: Path, name: str) -> None:
+    profile = icc_profile(name, *ICC[name])
+    Image.fromarray(CUBE).save(tmp_path / "a.png", icc_profile=profile)
+    own, srgb = (ImageCms.ImageCmsProfile(BytesIO(data)) for data in (profile, SRGB))
+    shown = ImageCms.profileToProfile(Image.fromarray(CUBE), own, srgb, ImageCms.Intent.RELATIVE_COLORIMETRIC)
+    want = np.asarray(shown).astype(int)
+    for got in (read_picture(tmp_path / "a.png"), read_pixels(tmp_path / "a.png")):
+        np.testing.assert_allclose(got.astype(int), want, atol=2)
+    (tmp_path / "in").mkdir()
+    copy_upright(probe_picture(tmp_path / "a.png"), Upright(), tmp_path / "in", "000000")
+    np.testing.assert_allclose(read_pixels(tmp_path / "in" / "000000.png").astype(int), want, atol=2)
 
 
-def test_photos_that_hold_linear_light_are_named(tmp_path):
-    """A17: one says so in a profile, one in PNG's own chunk; sRGB and photos that say nothing are as expected."""
+@pytest.mark.parametrize("kind", ["cICP", "cHRM", "R03"])
+def test_colours_without_a_profile(tmp_path: Path, kind: str) -> None:
+    """PNG says P3 by numbers, or its primaries; cameras say Adobe RGB by the name of the option file alone."""
+    chunks, exif = PngInfo(), Image.Exif()
+    if kind == "cICP":
+        chunks.add(b"cICP", bytes([12, 13, 0, 1]))
+    if kind == "cHRM":
+        places = (0.3127, 0.329, 0.68, 0.32, 0.265, 0.69, 0.15, 0.06)
+        chunks.add(b"cHRM", struct.pack(">8I", *(round(100_000 * p) for p in places)))
+    if kind == "R03":
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.IFD.Interop] = {ExifTags.Interop.InteropIndex: "R03"}
+    green = Image.fromarray(np.full((16, 16, 3), (90, 200, 90), np.uint8))
+    said, profiled = tmp_path / f"a.{'jpg' if kind == 'R03' else 'png'}", tmp_path / "b.png"
+    coded: dict[str, Any] = {"quality": 100, "subsampling": 0}
+    if kind == "R03":
+        green.save(said, exif=exif, **coded)
+    else:
+        green.save(said, pnginfo=chunks)
+    green.save(profiled, icc_profile=icc_profile("x", *ICC["Adobe RGB" if kind == "R03" else "Display P3"]))
+    np.testing.assert_allclose(read_pixels(said).astype(int), read_pixels(profiled), atol=2)
+    assert read_pixels(said)[0, 0, 0] < 70
+
+
+def test_profiles_of_photos_are_named(tmp_path: Path) -> None:
+    """What is brought to sRGB is a note; linear light in 8 bits and what is not read are faults; sRGB is nothing."""
     folder = tmp_path / "in"
     folder.mkdir()
-    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    PICTURE.save(folder / "a.jpg", icc_profile=srgb)
-    PICTURE.save(folder / "b.png")
-    assert extract_folder(folder, tmp_path, "static", "sweep", "in").faults == ()
-    PICTURE.save(folder / "c.tif", icc_profile=profile(CURVES["linear"][0]))
+    for name, profile in (
+        ("a.jpg", SRGB),
+        ("b.jpg", None),
+        ("c.jpg", icc_profile("near", SRGB_IN_D50, SRGB_CURVE)),
+    ):
+        PICTURE.save(folder / name, icc_profile=profile)
+    chunk = PngInfo()
+    chunk.add(b"gAMA", struct.pack(">I", 45_455))
+    PICTURE.save(folder / "d.png", pnginfo=chunk)
+    got = extract_folder(folder, tmp_path, "static", "sweep", "in")
+    assert got.faults == () and got.notes == ()
+    assert (tmp_path / str(got.frames[2].file)).read_bytes() == (folder / "c.jpg").read_bytes()
+    PICTURE.save(folder / "e.tif", icc_profile=icc_profile("Display P3", *ICC["Display P3"]))
     chunk = PngInfo()
     chunk.add(b"gAMA", struct.pack(">I", 100_000))
-    PICTURE.save(folder / "d.png", pnginfo=chunk)
-    (fault,) = extract_folder(folder, tmp_path, "static", "sweep", "in").faults
-    assert (fault.code, fault.why) == ("coding", "linear")
-    assert all(named in str(fault.value) for named in ("2 of 4", "gamma of 1", "sRGB", "c.tif, d.png"))
+    PICTURE.save(folder / "f.png", pnginfo=chunk)
+    PICTURE.save(folder / "g.jpg", icc_profile=icc_profile("table", P3, b"mft2" + bytes(8)))
+    PICTURE.save(folder / "h.jpg", icc_profile=b"cut short")
+    falls = b"para" + bytes(4) + struct.pack(">HH", 0, 0) + fixed(-2.2)
+    PICTURE.save(folder / "i.jpg", icc_profile=icc_profile("falls", P3, falls))
+    got = extract_folder(folder, tmp_path, "static", "sweep", "in")
+    assert any("1 of 9" in note and "Display P3" in note and "e.tif" in note for note in got.notes)
+    unread, linear = got.faults
+    assert [(f.code, f.why) for f in got.faults] == [("coding", "profile"), ("coding", "linear")]
+    assert all(named in str(unread.value) for named in ("3 of 9", "table", "falls", "g.jpg, h.jpg, i.jpg"))
+    assert all(named in str(linear.value) for named in ("1 of 9", "gamma of 1", "f.png"))
 
 
 def test_photos_are_called_by_their_names(tmp_path):

@@ -263,6 +263,8 @@ def nerfstudio(folder: Path, times: list[float | None], **more: object) -> None:
     transforms(
         folder / "transforms.json", names, [n % 3 for n in range(len(times))], entries, fl_x=FOCAL, **more
     )
+    for n, name in enumerate(names):  # the same look of the same place would be the same picture
+        cv2.imwrite(str(folder / name), np.full((HEIGHT, WIDTH, 3), 100 + n, np.uint8))
 
 
 def test_nerfstudio_seconds_are_rescaled_and_said(tmp_path: Path):
@@ -324,7 +326,7 @@ def test_a_list_of_test_pictures_that_names_none_is_no_list(tmp_path: Path):
     assert any("2 of 2 names" in note and "a.png, b.png; no test picture" in note for note in notes)
     (tmp_path / "other").mkdir()
     for n in range(4):  # two folders with pictures of the same name: 1.png is either
-        picture(tmp_path / f"other/{n}.png")
+        cv2.imwrite(str(tmp_path / f"other/{n}.png"), np.full((HEIGHT, WIDTH, 3), 50 + n, np.uint8))
     meta = json.loads((tmp_path / "transforms.json").read_text())
     meta["frames"] += [{**e, "file_path": e["file_path"].replace("images", "other")} for e in meta["frames"]]
     for listed, test in (("1.png", []), ("set/other/1", ["other"])):
@@ -371,9 +373,25 @@ def test_names_as_windows_writes_them(tmp_path: Path):
     assert [f.path.name for f in frames] == ["0.png", "1.JPG", "2.png"]
     assert [f.split for f in frames] == ["train", "test", "train"]
     assert frames[0].matte == tmp_path / files[3]
-    entries[0]["file_path"] = "C:\\set\\images\\0.png"
-    (tmp_path / "transforms.json").write_text(json.dumps(meta))
-    with refused("picture-missing", "C:\\set\\images\\0.png", f"relative to {tmp_path}", kind=CaptureError):
+
+
+@pytest.mark.parametrize("place", ["C:\\set\\", "/home/someone/set/", "\\\\server\\share\\set\\"])
+def test_whole_paths_of_another_machine(tmp_path: Path, place: str):
+    """They lead to the file that lies in the data set under their longest end."""
+    for file in ("images/0.png", "images/1.png", "0.png", "masks/0.png"):
+        picture(tmp_path / file)
+    slash = place[-1]
+    entries = [
+        {"file_path": f"{place}images{slash}{n}.png", "transform_matrix": opengl(n).tolist()}
+        for n in range(2)
+    ]
+    entries[0]["mask_path"] = f"{place}masks{slash}0.png"
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": entries}))
+    frames = read_dataset("nerfstudio", tmp_path).static
+    assert [f.path for f in frames] == [tmp_path / f"images/{n}.png" for n in range(2)]
+    assert frames[0].matte == tmp_path / "masks/0.png"
+    (tmp_path / "images/1.png").unlink()
+    with refused("picture-missing", f"{place}images{slash}1.png", str(tmp_path), kind=CaptureError):
         read_dataset("nerfstudio", tmp_path)
 
 

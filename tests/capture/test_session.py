@@ -1,5 +1,7 @@
 """The pre-flight check: everything that is wrong with the raw files, at once."""
 
+import shutil
+
 import numpy as np
 import pytest
 from tests.refused import refused
@@ -26,6 +28,15 @@ def test_good_session_has_no_problems(make_clip, pictures, tmp_path):
     assert preflight(session) == []
     assert session.shares_joint_clip("cam0")
     assert [p.name for p in session.files()] == ["p0.jpg", "p1.jpg", "p2.jpg", "cam0.mp4", "t.csv"]
+
+
+def test_a_copy_of_another_cameras_clip_is_no_camera(make_clip, pictures, tmp_path):
+    clip = make_clip("cam0.mp4", pictures)
+    copy = shutil.copy(clip, tmp_path / "witness.mp4")
+    other = make_clip("cam1.mp4", pictures[::-1])
+    session = CaptureSession(cameras={"cam0": clip, "cam1": other, "witness": copy}, test_names=("witness",))
+    (problem,) = preflight(session)
+    assert "witness" in problem and "camera cam0" in problem
 
 
 @pytest.mark.parametrize(("one", "other"), [("a.jpg", "b.jpg"), ("a.dng", "b.nef")])

@@ -57,17 +57,23 @@ def test_few_pictures_over_a_long_time_need_little_memory():
 
 
 @pytest.mark.parametrize(
-    ("pictures_s", "sound_s", "named"),
+    ("pictures_s", "sound_s", "fps", "named"),
     [
-        (10.0, 10.3, None),
-        (1.0, 0.3, None),
-        (80.0, 10.0, "itsscale 0.125"),
-        (10.0, 5.5, "1.82"),
-        (5.0, 10.0, "0.5"),
+        (10.0, 10.3, None, None),
+        (1.0, 0.3, 25.0, None),
+        (80.0, 10.0, 30.0, "itsscale 0.125"),
+        (10.0, 5.5, None, "1.82"),
+        (5.0, 10.0, None, "0.5"),
+        (2.45, 2.0, 24.0, "30 pictures a second written as 24"),
+        (62.5, 60.0, 24.0, "25 pictures a second written as 24"),
+        (50.0, 60.0, 30_000 / 1001, "25 pictures a second written as 29.97"),
+        (60.06, 60.0, 30_000 / 1001, None),  # 29.97 and 30 are told by sound against sound
+        (60.0, 59.2, 25.0, None),  # sound that ends early
+        (60.0, 54.0, 27.3, None),  # a variable rate
     ],
 )
-def test_lengths_of_pictures_and_sound(pictures_s, sound_s, named):
-    faults = length_faults(pictures_s, sound_s)
+def test_lengths_of_pictures_and_sound(pictures_s, sound_s, fps, named):
+    faults = length_faults(pictures_s, sound_s, fps)
     assert len(faults) == (named is not None)
     assert all(named in f"{f.value} {f.facts}" for f in faults)
 

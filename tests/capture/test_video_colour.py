@@ -126,6 +126,20 @@ def test_hdr_primaries():
     np.testing.assert_allclose(srgb_from_hdr(code, "PQ")[0, 0], expected, atol=1)
 
 
+@pytest.mark.parametrize("pix_fmt", ["yuv420p", "yuv420p10le"])
+def test_a_clip_in_p3_is_brought_to_srgb(make_clip, tmp_path, pix_fmt):
+    """A red of sRGB as P3 codes it, and grey, which stays."""
+    p3 = np.array([[[184, 63, 40], [128, 128, 128]]], np.uint8).repeat(48, axis=0).repeat(48, axis=1)
+    path = make_clip("p3.mp4", [p3] * 2, pix_fmt=pix_fmt, colour=(BT709, 1, 12, LIMITED), crf=1)
+    frame = first(path)
+    np.testing.assert_allclose(
+        frame.rgb[24, [20, 76]].astype(int), [[200, 50, 25], [128, 128, 128]], atol=LEVELS
+    )
+    assert jpeg_of(frame.picture, 100) is None
+    with VideoReader(path) as reader:
+        assert any("Display P3" in note for note in reader.info.notes)
+
+
 def test_an_hlg_clip_is_read_by_the_rule(make_clip):
     grey = np.full((48, 64, 3), round(0.38 * 65535), np.uint16)
     path = make_clip("hlg.mp4", [grey] * 3, pix_fmt="yuv420p10le", colour=(BT2020, 18, 9, LIMITED))

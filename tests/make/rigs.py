@@ -83,11 +83,52 @@ def _kalibr(folder: Path, cameras: Cameras, metric: bool) -> None:
     (folder / "camchain.yaml").write_text(yaml.safe_dump(out, sort_keys=False))
 
 
+def _panoptic(folder: Path, cameras: Cameras, metric: bool) -> None:
+    """A list, in centimetres."""
+    listed = [
+        {
+            "name": name,
+            "type": "hd",
+            "resolution": [camera.width, camera.height],
+            "K": (camera.K - HALF_PIXEL).tolist(),
+            "distCoef": camera.distortion.tolist(),
+            "R": camera.cam_from_world[:, :3].tolist(),
+            "t": (100 * camera.cam_from_world[:, 3:]).tolist(),
+        }
+        for name, camera in cameras.items()
+    ]
+    (folder / "calibration_171204.json").write_text(json.dumps({"calibDataSource": "x", "cameras": listed}))
+
+
+def _multical(folder: Path, cameras: Cameras, metric: bool) -> None:
+    """Lenses and poses apart, poses called by the first camera too."""
+    first = next(iter(cameras))
+    lenses = {
+        name: {
+            "model": "fisheye" if camera.model == "OPENCV_FISHEYE" else "standard",
+            "image_size": [camera.width, camera.height],
+            "K": (camera.K - HALF_PIXEL).tolist(),
+            "dist": [camera.distortion[: 4 if camera.model == "OPENCV_FISHEYE" else 5].tolist()],
+        }
+        for name, camera in cameras.items()
+    }
+    poses = {
+        name if name == first else f"{name}_to_{first}": {
+            "R": camera.cam_from_world[:, :3].tolist(),
+            "T": camera.cam_from_world[:, 3].tolist(),
+        }
+        for name, camera in cameras.items()
+    }
+    (folder / "calibration.json").write_text(json.dumps({"cameras": lenses, "camera_poses": poses}))
+
+
 RIG_LAYOUTS: dict[str, Callable[[Path, Cameras, bool], None]] = {
     **RIG_WRITERS,
     "anipose": _anipose,
     "easymocap": _easymocap,
     "kalibr": _kalibr,
+    "multical": _multical,
+    "panoptic": _panoptic,
     "pose2sim": _pose2sim,
 }
 """(folder, cameras by name, whether lengths are metres)."""

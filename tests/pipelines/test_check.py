@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.preview.matching import features
 from devrf.calibration.preview.overlap import overlap_of
 from devrf.capture.ingest.survey import Look, look_at
+from devrf.capture.photos.upright_pictures import write_picture
 from devrf.capture.rest import Rest
 from devrf.capture.session import CaptureSession
 from devrf.capture.system.progress import no_progress
@@ -153,6 +155,15 @@ def test_a_walk_shows_depth_and_a_turn_a_tripod_and_a_lens_cap_do_not(
     stood = sweep_verdicts(tmp_path / "stood.mp4", [view(room, posters, 20.0)] * 6)
     assert stood == {"sweep-overlap": "ok", "sweep-depth": "fail"}
     assert sweep_verdicts(tmp_path / "cap.mp4", [np.zeros_like(walk[0])] * 6) == {"sweep-blurred": "fail"}
+
+
+def test_copies_of_photos_count_once(tmp_path: Path, textures: Callable) -> None:
+    for n in range(6):
+        write_picture(tmp_path / f"IMG_{n}.jpg", textures(n)[:120, :160])
+        if n % 2:
+            shutil.copy(tmp_path / f"IMG_{n}.jpg", tmp_path / f"Copy of IMG_{n}.jpg")
+    frames = planned_frames(look_at(tmp_path, 4), "sweep", "in")
+    assert len(frames.used) == 6 and any("3 of them are copies" in note for note in frames.notes)
 
 
 def test_a_gap_is_named_unless_a_picture_between_closes_it(textures: Callable) -> None:

@@ -1,7 +1,9 @@
 """`devrf-pipeline init`: which file is what, by content before name, and what is written and said."""
 
 import errno
+import json
 import os
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +12,17 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.make.datasets import write_set
 from tests.refused import refused
 
 from devrf.calibration.boards.guess import BoardGuess, board_pictures, guess_board
 from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.preview.stability import Steadiness, steadiness
+from devrf.capture.formats import read_dataset
 from devrf.capture.ingest.survey import Look
 from devrf.capture.photos.upright_pictures import read_grey
-from devrf.capture.system.errors import InputError
+from devrf.capture.scene import Scene
+from devrf.capture.system.errors import CaptureError, InputError
 from devrf.capture.video.reader import probe_video
 from devrf.capture.video.video_writer import write_video
 from devrf.pipelines.config.load import load_scene
@@ -308,8 +313,12 @@ def test_a_calibration_in_metres_leaves_no_scale_unknown(tmp_path: Path) -> None
         assert ("arbitrary" in scene_yaml("x", roles, "fast")) is not bool(files)
 
 
-def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "transforms_train.json").write_text("{}")
+def test_a_full_disk_leaves_the_file_that_was_there(
+    odd_scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tmp_path /= "set"
+    write_set("nerfstudio", odd_scene, tmp_path)
+    before = sorted(tmp_path.iterdir())
     (tmp_path / "scene.yaml").write_text("name: mine")
 
     def full(path: Path, text: str, **_: str) -> int:
@@ -321,15 +330,59 @@ def test_a_full_disk_leaves_the_file_that_was_there(tmp_path: Path, monkeypatch:
     with pytest.raises(OSError) as caught:
         init(Talk("quiet"), tmp_path, None, True)
     assert caught.value.errno == errno.ENOSPC
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["scene.yaml", "transforms_train.json"]
+    assert sorted(tmp_path.iterdir()) == sorted([*before, tmp_path / "scene.yaml"])
     assert (tmp_path / "scene.yaml").read_text() == "name: mine"
 
 
-def test_a_data_set_is_told(tmp_path: Path) -> None:
-    (tmp_path / "transforms_train.json").write_text("{}")
-    init(Talk("quiet"), tmp_path, None, False)
+def test_a_data_set_is_told(odd_scene: Scene, tmp_path: Path) -> None:
+    """One that can be read; of one that cannot, why; LLFF's poses beside a COLMAP model do not hide it."""
+    for layout, call in (("blender", "blender"), ("nerfstudio", "nerfstudio"), ("colmap", "colmap")):
+        folder = tmp_path / layout
+        write_set(layout, odd_scene, folder)
+        if layout == "colmap":
+            np.save(folder / "poses_bounds.npy", np.ones((3, 17)))
+        init(Talk("quiet"), folder, None, False)
+        config = load_scene(folder / "scene.yaml")
+        assert config.dataset is not None and config.dataset.format == call
+
+
+def test_a_data_set_that_moves_all_over_is_not_taken(odd_scene: Scene, tmp_path: Path) -> None:
+    for layout, file in (("blender", "transforms_train.json"), ("nerfstudio", "transforms.json")):
+        folder = tmp_path / layout
+        write_set(layout, odd_scene, folder)
+        meta = json.loads((folder / file).read_text())
+        for n, entry in enumerate(meta["frames"]):
+            entry["time"] = n / len(meta["frames"])
+        (folder / file).write_text(json.dumps(meta))
+        with refused("rest-missing", layout, "sweep", kind=InputError):
+            init(Talk("quiet"), folder, None, False)
+        assert not (folder / "scene.yaml").exists()
+
+
+def test_clips_with_poses_of_llff_are_fixed_cameras(
+    tmp_path: Path, textures: Callable[[int], np.ndarray], capsys: pytest.CaptureFixture
+) -> None:
+    """Neural 3D Video: no sweep, which is said; without the poses nothing tells where the cameras are."""
+    frames = [textures(0)[:240, :320].copy() for _ in range(12)]
+    for n, frame in enumerate(frames):
+        cv2.circle(frame, (100 + 10 * n, 100), 30, (250, 250, 250), -1)
+    rows = []
+    for n in range(2):
+        write_video(tmp_path / f"cam{n:02d}.mp4", frames[:: 1 - 2 * n], 25.0)
+        rows.append([*np.column_stack([np.eye(3), [n, 0, 0], [240, 320, 260]]).ravel(), 1.0, 5.0])
+    np.save(tmp_path / "poses_bounds.npy", np.array(rows))
+    init(Talk(), tmp_path, None, False)
     config = load_scene(tmp_path / "scene.yaml")
-    assert config.dataset is not None and config.dataset.format == "blender"
+    assert config.capture is not None and list(config.capture.cameras) == ["cam00", "cam01"]
+    assert config.calibration.rig.given == "poses_bounds.npy" and config.capture.static is None
+    assert "no sweep" in capsys.readouterr().out
+    (tmp_path / "poses_bounds.npy").write_bytes(b"damaged")
+    with refused("rig-without-source", tmp_path, kind=InputError):
+        init(Talk(), tmp_path, None, True)
+    assert "poses_bounds.npy" in capsys.readouterr().out
+    with refused("count-mismatch", "cam00.mp4", "capture.cameras", kind=CaptureError):
+        np.save(tmp_path / "poses_bounds.npy", np.array(rows))
+        read_dataset("llff", tmp_path)
 
 
 def test_a_folder_of_photos_is_a_sweep_and_a_table_gives_times(
@@ -343,6 +396,7 @@ def test_a_folder_of_photos_is_a_sweep_and_a_table_gives_times(
         cv2.circle(frame, (100 + 10 * n, 100), 30, (250, 250, 250), -1)
     write_video(tmp_path / "GX010.mp4", frames, 25.0)
     write_video(tmp_path / "GX011.mp4", frames[::-1], 25.0)
+    shutil.copy(tmp_path / "GX010.mp4", tmp_path / "Copy of GX010.mp4")
     rows = [f"{c},{n},{n / 25}" for c in ("GX010", "GX011") for n in range(12)]
     (tmp_path / "times.csv").write_text("camera,frame_index,time_s\n" + "\n".join(rows))
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
@@ -352,4 +406,22 @@ def test_a_folder_of_photos_is_a_sweep_and_a_table_gives_times(
     assert config.capture.static == "." and list(config.capture.cameras) == ["GX010", "GX011"]
     assert config.capture.timestamps == "times.csv"
     said = capsys.readouterr().out
+    assert "Copy of GX010.mp4: a copy of GX010.mp4" in said
     assert "no calibration board" in said and "sound track" not in said  # the table tells the times
+
+
+@pytest.mark.parametrize(
+    ("files", "named"),
+    [
+        (("dataset.json", "camera/000.json"), "one camera"),
+        (("train_meta.json", "ims/0/000000.jpg"), "ffmpeg -framerate 30"),
+    ],
+)
+def test_public_layouts_that_are_not_read_are_named(
+    tmp_path: Path, files: tuple[str, ...], named: str
+) -> None:
+    for file in files:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text("{}")
+    with refused("folder-without-clips", files[0], named, kind=InputError):
+        init(Talk("quiet"), tmp_path, None, False)

@@ -40,7 +40,8 @@ def find_picture(base: Path, name: str) -> Path:
     """The file that a data set names.
 
     Where there is none of that very name: with a usual ending added (Blender's layout names pictures without one), with
-    its ending in capitals or small letters, or with each backslash as a slash (paths of Windows).
+    its ending in capitals or small letters, or with each backslash as a slash (paths of Windows). A whole path of
+    another machine is that of the file which lies in `base` under the longest end of it.
 
     Args:
         base: Folder that the name is relative to.
@@ -48,7 +49,7 @@ def find_picture(base: Path, name: str) -> Path:
     Raises:
         CaptureError: There is no such file.
     """
-    for written in dict.fromkeys((name, with_slashes(name))):
+    for written in dict.fromkeys((name, with_slashes(name), *_ends(name))):
         file = base / written
         names = [file.name + ending for ending in PICTURE_ENDINGS]
         names += [file.stem + change(file.suffix) for change in (str.lower, str.upper)]
@@ -56,10 +57,20 @@ def find_picture(base: Path, name: str) -> Path:
             if os.path.isfile(candidate):  # not so what has too long a name
                 return candidate.resolve()
     remedy = "copy it into the data set, or remove its entry"
-    if PureWindowsPath(name).drive:
-        remedy = f"name it relative to {base}"
+    if _ends(name):
+        text = f"{name}: picture not found, nor one of that name in {base}; {remedy}"
+        raise CaptureError("picture-missing", text)
     wrong = f"{base / name}: picture not found (nor with .png or .jpg added)"
     raise CaptureError("picture-missing", f"{wrong}; {remedy}")
+
+
+def _ends(name: str) -> list[str]:
+    """What a whole path may be relative to the data set, the longest first; nothing of a relative one."""
+    written = with_slashes(name)
+    if not written.startswith("/") and not PureWindowsPath(name).drive:
+        return []
+    parts = [part for part in written.split("/") if part and not part.endswith(":")]
+    return ["/".join(parts[n:]) for n in range(len(parts)) if ".." not in parts[n:]]
 
 
 def with_slashes(name: str) -> str:
