@@ -87,6 +87,27 @@ def test_the_flow_method(
     assert "one_shift" in reason
 
 
+@pytest.mark.full
+def test_the_motion_model(
+    scene: Path, tmp_path: Path, devrf_process: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_files(tmp_path)
+    offline = ("--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--quiet")
+    target = tmp_path / "installed"
+    install = [sys.executable, "-m", "pip", "install", *offline, "--target", target, tmp_path / "drift"]
+    subprocess.run(install, check=True)
+    short = ("reconstruct.canonical_iterations=50", "reconstruct.resolution=32", "reconstruct.motion=drift")
+    settings = [word for key in short for word in ("--set", key)]
+    assert "devrf.motion" in devrf_process("run", scene, *settings, "--dry-run").said
+    monkeypatch.setenv("PYTHONPATH", str(target))
+    result = devrf_process("run", scene, "--until", "evaluate", "--allow-unhealthy", *settings)
+    assert result.code == 0, result.said
+    metrics = json.loads((scene.parent / "run" / "deformation" / "metrics.json").read_text())
+    assert metrics["decisions"] == ["motion: by drift (drift:create)"] and metrics["largest_motion"] > 0
+    (reason,) = why(devrf_process, scene, "deformation", *settings[:4])
+    assert "reconstruct.motion" in reason
+
+
 def why(devrf_process: Command, scene: Path, stage: str, *arguments: str) -> list[str]:
     """Why a stage is stale."""
     result = devrf_process("status", scene, "--json", *arguments)
