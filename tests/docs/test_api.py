@@ -27,25 +27,31 @@ def page_code() -> list[str]:
     return [block.text for block in blocks(PAGE) if block.language == "python"]
 
 
-def test_blocks_of_the_page_on_small_run(small_run: ExampleRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = {path: path.stat().st_mtime_ns for path in small_run.run_dir.glob("*/stamp.json")}
-    texts = [text for text in page_code() if "devrf.Session(" not in text]
+def test_a_finished_run_of_the_page_on_small_run(
+    small_run: ExampleRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts = [text for text in page_code() if "devrf.calibrate(" not in text]
+    assert len(texts) == 3
     names = run_blocks(texts, small_run.scene.parent, monkeypatch)
-    height, width = names["camera"].height, names["camera"].width
-    assert names["colour"].shape == (height, width, 3) and names["opacity"].max() > 0.9
+    assert names["colour"].shape == (names["camera"].height, names["camera"].width, 3)
+    assert names["opacity"].max() > 0.9
     assert names["ways"].shape == (len(names["scene"].times_s), len(names["surface"].xyz), 3)
-    assert {path: path.stat().st_mtime_ns for path in made} == made, "a step made again what was fresh"
 
 
 @pytest.mark.full
-def test_raw_files_of_the_page_on_small_run(
+def test_all_of_the_page_on_small_run(
     small_run: ExampleRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for path in small_run.scene.parent.iterdir():
         (tmp_path / path.name).symlink_to(path)
-    (text,) = (text for text in page_code() if "devrf.Session(" in text)
-    found = run_blocks(["import devrf", text], tmp_path, monkeypatch)["calibration"]
-    assert {"cam0", "cam2", "witness"} <= found.cameras.keys()
+    made = {path: path.stat().st_mtime_ns for path in small_run.run_dir.glob("*/stamp.json")}
+    found = run_blocks(page_code(), tmp_path, monkeypatch)["calibration"]
+    assert {
+        "cam0",
+        "cam2",
+        "witness",
+    } <= found.cameras.keys() and found.run_folder == tmp_path / "another" / "run"
+    assert {path: path.stat().st_mtime_ns for path in made} == made, "a step made again what was fresh"
 
 
 @pytest.mark.full
