@@ -5,7 +5,7 @@ What is fresh is not made again, and all that `devrf-pipeline` does with a scene
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -68,6 +68,7 @@ def ingest(
     folder: str | Path | None = None,
     *,
     settings: Settings = {},  # noqa: B006 (a mapping that nobody changes)
+    allow_unhealthy: bool = False,
     quiet: bool = False,
 ) -> dict[str, CameraFrames]:
     """Decode the raw files: what is known of each clip and of each of its frames (time_s, sharpness, picture).
@@ -76,6 +77,7 @@ def ingest(
         session: The raw files, or a scene.yaml that names them.
         folder: Of a `Session`: gets a scene.yaml, and the run folder `run`.
         settings: Keys of scene.yaml.
+        allow_unhealthy: Go on where a stage's own check refuses its result.
         quiet: Print nothing.
     Returns:
         Name -> clip; the sweep is `static`, a clip of the board `board_<camera>`. A frame's `file` is relative to
@@ -84,7 +86,9 @@ def ingest(
         DevrfError: As `run`.
     """
     path = _scene_yaml(session, folder, settings)
-    run_folder = run(path, settings=settings, until="ingest", device="cpu", quiet=quiet)
+    run_folder = run(
+        path, settings=settings, until="ingest", device="cpu", allow_unhealthy=allow_unhealthy, quiet=quiet
+    )
     return FrameSet.read(run_folder / "ingest").cameras
 
 
@@ -93,11 +97,14 @@ def calibrate(
     folder: str | Path | None = None,
     *,
     settings: Settings = {},  # noqa: B006
+    allow_unhealthy: bool = False,
     quiet: bool = False,
 ) -> Calibration:
     """Find cameras, clocks, colours and the scene box. Arguments and errors as `ingest`'s."""
     path = _scene_yaml(session, folder, settings)
-    run_folder = run(path, settings=settings, until="scene", device="cpu", quiet=quiet)
+    run_folder = run(
+        path, settings=settings, until="scene", device="cpu", allow_unhealthy=allow_unhealthy, quiet=quiet
+    )
     scene, colours = read_scene(run_folder / "scene"), {}
     if (run_folder / "colour").is_dir():
         found = read_colours(run_folder / "colour").cameras
@@ -111,6 +118,7 @@ def train(
     *,
     settings: Settings = {},  # noqa: B006
     device: str = "auto",
+    allow_unhealthy: bool = False,
     quiet: bool = False,
 ) -> Reconstruction:
     """Train the scene at rest and its motion, and evaluate both.
@@ -119,12 +127,19 @@ def train(
         calibration: What `calibrate` found.
         settings: More keys of scene.yaml, such as `reconstruct.rays`.
         device: auto, cpu or cuda.
+        allow_unhealthy: Go on where a stage's own check refuses its result.
         quiet: Print nothing.
     Raises:
         DevrfError: As `run`.
     """
-    settings = {**calibration.settings, **settings}
-    run_folder = run(calibration.scene_yaml, settings=settings, until="evaluate", device=device, quiet=quiet)
+    run_folder = run(
+        calibration.scene_yaml,
+        settings={**calibration.settings, **settings},
+        until="evaluate",
+        device=device,
+        allow_unhealthy=allow_unhealthy,
+        quiet=quiet,
+    )
     return load(run_folder, device=device)
 
 
@@ -133,7 +148,6 @@ def run(
     *,
     settings: Settings = {},  # noqa: B006
     until: str | None = None,
-    force: Sequence[str] = (),
     device: str = "auto",
     allow_unhealthy: bool = False,
     quiet: bool = False,
@@ -144,7 +158,6 @@ def run(
         scene_yaml: The file, or the folder that holds it.
         settings: Keys of scene.yaml.
         until: The last stage to run; None: all run.
-        force: Stages to run even where nothing changed; `all`: every one.
         device: auto, cpu or cuda.
         allow_unhealthy: Go on where a stage's own check refuses its result.
         quiet: Print nothing.
@@ -155,7 +168,7 @@ def run(
             before anything was started, `HealthError` where a check refused a result.
     """
     talk = _Raised("quiet" if quiet else "normal")
-    choice = Choice(last=until, force=tuple(force), allow_unhealthy=allow_unhealthy)
+    choice = Choice(last=until, allow_unhealthy=allow_unhealthy)
     job = prepared(talk, Path(scene_yaml).expanduser(), None, _overrides(settings), choice)
     check(job, job.standings(), device)
     code = execute(job)
