@@ -14,6 +14,16 @@ if TYPE_CHECKING:  # what editors and type checkers see; `_HOME` says the same a
     from devrf.capture.frames import CameraFrames as Clip
     from devrf.capture.session import CaptureSession as Session
     from devrf.capture.system.errors import DevrfError
+else:
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOME:
+            raise AttributeError(
+                f"module 'devrf' has no attribute {name!r}; its names are {', '.join(__all__)}"
+            )
+        module, _, other = _HOME[name].partition(":")
+        return getattr(import_module(f"devrf.{module}"), other or name)
+
 
 __version__ = "0.1.0"
 __all__ = [
@@ -46,13 +56,6 @@ _HOME = {
 # OpenMP reads this once, when torch is loaded, and every way into devrf comes through this file first. Threads that
 # busy-wait take five times the processor time beside another program. A value that is set already stands.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'devrf' has no attribute {name!r}; its names are {', '.join(__all__)}")
-    module, _, other = _HOME[name].partition(":")
-    return getattr(import_module(f"devrf.{module}"), other or name)
 
 
 def __dir__() -> list[str]:
