@@ -7,7 +7,7 @@ INSIDE = [f"devrf.{d}.{p}" for d in DOMAINS for p in find_packages(d)]
 EXAMPLE = "devrf.example"  # for `devrf-pipeline demo`; files, and no code
 
 setup(
-    packages=["devrf", EXAMPLE, *(f"devrf.{d}" for d in DOMAINS), *INSIDE],
+    packages=["devrf", "devrf.api", EXAMPLE, *(f"devrf.{d}" for d in DOMAINS), *INSIDE],
     package_dir={
         "devrf": "src/devrf",
         EXAMPLE: "examples/waving-sheet",

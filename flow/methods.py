@@ -43,8 +43,8 @@ def plug_in(method: str) -> str | None:
     return None if method in BUILT_IN else installed()[method].module
 
 
-def installed() -> "dict[str, EntryPoint]":
-    """The estimators of installed packages, by their names."""
+def installed(group: str = GROUP) -> "dict[str, EntryPoint]":
+    """The estimators of installed packages, or what else they add by a `group`, by their names."""
     from importlib.metadata import entry_points  # takes a while, and most ask for a method that is built in
 
-    return {point.name: point for point in entry_points(group=GROUP)}
+    return {point.name: point for point in entry_points(group=group)}

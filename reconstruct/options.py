@@ -9,6 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 PresetName = Literal["tiny", "fast", "reference"]
+OWN_MOTION = (
+    "devrf.motion"  # group of entry points by which installed packages add motion models (`own_motion.py`)
+)
 # longest side of the published objects, world units; the motion's rates are meant for it
 REFERENCE_EXTENT = 2.5
 STEP_AT_REST = 0.5  # along rays, in voxels of the scene at rest: as published; no preset gains by another

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 KEPT = Path(__file__).with_name("messages.json")
-ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab")
+ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab", "src")
 FORM = re.compile(r"[a-z]+(-[a-z]+){0,3}")
 
 

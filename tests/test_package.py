@@ -1,5 +1,6 @@
 """pyproject.toml, constraints.txt and the Makefile agree with one another."""
 
+import ast
 import importlib.metadata
 import re
 import subprocess
@@ -55,6 +56,18 @@ def test_version_is_said_once() -> None:
     text = (REPOSITORY / "pyproject.toml").read_text()
     assert f'version = "{devrf.__version__}"' in text
     assert importlib.metadata.version("devrf") == devrf.__version__
+
+
+def test_public_names_are_there_and_hide_no_room() -> None:
+    tree = ast.parse(Path(devrf.__file__).read_text())
+    (seen,) = (node for node in tree.body if isinstance(node, ast.If))  # by editors and type checkers
+    imports = [alias.asname or alias.name for node in seen.body for alias in getattr(node, "names", ())]
+    assert sorted(imports) == sorted(devrf.__all__) and set(devrf.__all__) <= set(dir(devrf))
+    for name in devrf.__all__:
+        assert getattr(devrf, name).__doc__
+        assert not (REPOSITORY / name).exists(), f"devrf.{name} is a room"
+    with pytest.raises(AttributeError, match="reconstruction"):
+        _ = devrf.reconstruction  # type: ignore[attr-defined]
 
 
 def test_module_and_console_script_are_the_same_program() -> None:

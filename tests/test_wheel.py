@@ -51,7 +51,9 @@ def expected() -> set[str]:
             if path.is_file() and "__pycache__" not in path.parts:
                 names.add(f"devrf/{path.relative_to(REPOSITORY).as_posix()}")
     names |= {f"devrf/example/{path.name}" for path in (REPOSITORY / EXAMPLE).iterdir() if path.is_file()}
-    return names | {f"devrf/{name}" for name in ("__init__.py", "__main__.py", "py.typed")}
+    top = REPOSITORY / "src"
+    own = (path.relative_to(top).as_posix() for path in (top / "devrf").rglob("*") if path.is_file())
+    return names | {name for name in own if "__pycache__" not in name}
 
 
 def test_the_wheel_holds_exactly_what_the_tree_holds(wheel_names: set[str]) -> None:
@@ -88,9 +90,9 @@ def test_installed_elsewhere_it_runs_its_example(wheel: Path, tmp_path: Path) ->
     paths = os.pathsep.join([str(tmp_path / "installed"), *libraries])
     isolated = {**os.environ, "PYTHONPATH": paths}
 
-    def called(*arguments: str) -> str:
+    def called(*arguments: str, module: tuple[str, ...] = ("-m", "devrf")) -> str:
         # -S: no editable installation of this tree
-        command = [sys.executable, "-S", "-m", "devrf", *arguments]
+        command = [sys.executable, "-S", *module, *arguments]
         ended = subprocess.run(command, cwd=tmp_path, env=isolated, capture_output=True, text=True)
         assert ended.returncode == 0, ended.stderr
         return ended.stdout
@@ -101,6 +103,9 @@ def test_installed_elsewhere_it_runs_its_example(wheel: Path, tmp_path: Path) ->
     stamp = tmp_path / "here" / "runs" / "sheet" / "ingest" / "stamp.json"
     assert stamp.is_file() and str(REPOSITORY) not in stamp.read_text()
     called("demo", "here", "--until", "ingest", "--quiet")
+    clips = "import devrf; print(*devrf.ingest('here', quiet=True), devrf.__file__)"
+    names = called("-c", clips, module=()).split()
+    assert {"static", "cam0", "witness"} <= set(names) and names[-1].startswith(str(tmp_path))
 
 
 def test_notice_names_every_dependency() -> None:

@@ -20,7 +20,7 @@ Source = Callable[[int, UInt8[np.ndarray, "h w c"]], UInt8[np.ndarray, "h w"]]
 
 
 @dataclass(frozen=True)
-class Clip:
+class MatteClip:
     """One camera's used pictures.
 
     Attributes:
@@ -58,7 +58,7 @@ class CameraMattes:
 
 
 def given_mattes(
-    clip: Clip, folder: Path, inverted: bool | None, out: Path, progress: Progress = no_progress
+    clip: MatteClip, folder: Path, inverted: bool | None, out: Path, progress: Progress = no_progress
 ) -> CameraMattes:
     """Mattes that people bring, out of the camera's folder; `inverted` None finds out."""
     found = find_mattes(folder, clip.names)
@@ -73,7 +73,7 @@ def given_mattes(
 
 
 def chroma_mattes(
-    clip: Clip, colour: Float[np.ndarray, "3"] | None, out: Path, progress: Progress = no_progress
+    clip: MatteClip, colour: Float[np.ndarray, "3"] | None, out: Path, progress: Progress = no_progress
 ) -> CameraMattes:
     """Mattes by a screen's colour, RGB in 0 to 255; None finds it."""
     key = find_key(clip.camera, clip.files) if colour is None else colour
@@ -88,7 +88,7 @@ def chroma_mattes(
 
 
 def _write(
-    clip: Clip, source: Source, out: Path, progress: Progress
+    clip: MatteClip, source: Source, out: Path, progress: Progress
 ) -> tuple[tuple[Path, ...], tuple[MatteFacts, ...]]:
     """Make, measure and write the mattes, some at a time; they are called like the pictures."""
     folder = out / clip.camera

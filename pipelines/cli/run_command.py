@@ -29,15 +29,31 @@ def prepare(
     *,
     check_files: bool = True,
 ) -> Run:
-    """Read and check the configuration. Ends the program with exit code 2 where it is wrong.
+    """As `prepared`; ends the program with exit code 2 where the configuration is wrong."""
+    with errors_told(talk):
+        return prepared(talk, scene, preset, overrides, choice, check_files=check_files)
+
+
+def prepared(
+    talk: Talk,
+    scene: Path,
+    preset: str | None,
+    overrides: Sequence[str] | None,
+    choice: Choice | None,
+    *,
+    check_files: bool = True,
+) -> Run:
+    """Read and check the configuration.
 
     Without a choice nothing is going to run, and what could not be run is no mistake.
+
+    Raises:
+        InputError: With every mistake in it.
     """
-    with errors_told(talk):
-        config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
-        job = Run(config, scene_dir, STAGES, choice or Choice(), talk)
-        if choice is not None:
-            _check_run(job)
+    config, scene_dir = configured(scene, preset, overrides, check_files=check_files)
+    job = Run(config, scene_dir, STAGES, choice or Choice(), talk)
+    if choice is not None:
+        _check_run(job)
     return job
 
 

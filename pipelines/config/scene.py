@@ -24,10 +24,10 @@ from pydantic import (
 
 from devrf.capture.rest import Rest
 from devrf.capture.system.file_names import is_safe, safe
-from devrf.flow.methods import mistake
+from devrf.flow.methods import installed, mistake
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.words import shown
-from devrf.reconstruct.options import PresetName
+from devrf.reconstruct.options import OWN_MOTION, PresetName
 
 Kind = Literal["dynamic", "sweep", "cameras", "dataset"]
 
@@ -337,6 +337,9 @@ class ReconstructConfig(_Section):
     motion_iterations: int | None = Field(default=None, ge=1, le=1_000_000)
     """Iterations per key time of the motion field, over all levels; those of fine-tuning and of movers keep their
     proportion to them."""
+    motion: str = "auto"
+    """How motion is found: auto (tracked parts or a field, by preset and scene), or by a model that an installed
+    package adds."""
     key_times: int | None = Field(default=None, ge=2, le=10_000)
     """Key times of the motion; never more than a camera has pictures."""
     adapt: bool | None = None
@@ -344,6 +347,14 @@ class ReconstructConfig(_Section):
     given here."""
     seed: int = Field(default=0, ge=0, lt=2**31)
     """Seed of every random draw."""
+
+    @field_validator("motion")
+    @classmethod
+    def _installed(cls, motion: str) -> str:
+        if motion != "auto" and motion not in (there := installed(OWN_MOTION)):
+            text = f"{motion!r} is not known, expected {', '.join(('auto', *sorted(there)))}"
+            raise ValueError(f"{text}; a package adds one by an entry point of the group {OWN_MOTION}")
+        return motion
 
 
 class BudgetConfig(_Section):

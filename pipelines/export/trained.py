@@ -69,11 +69,8 @@ class Trained:
 
         device = resolve_device(request.options.device or "auto")
         self.model: DynamicModel = load_model(request.run_dir, device)
-        motion = self.model.motion
         self.moments: list[Moment] = [times.REST]
-        if motion is not None:
-            movers = self.model.movers
-            keys = motion.key_times if movers is None else movers.times.tolist()
+        if keys := self.model.moments:
             self.moments = times.chosen(default_times if wish is None else wish, self.scene, keys)
 
     @property

@@ -38,7 +38,7 @@ def check_made(run_dir: Path, stages: Sequence[str]) -> None:
     """
     missing = [stage for stage in stages if not (run_dir / stage / STAMP).is_file()]
     if missing:
-        what = "the model" if missing[0] == "canonical" else f"the {missing[0]}"
+        what = "the model" if missing[0] == "canonical" else f"stage {missing[0]}"
         text = f"{run_dir}: {what} is not made yet; run the scene with --until {stages[-1]} first"
         raise InputError("stage-not-made", text)
 

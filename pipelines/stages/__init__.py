@@ -9,8 +9,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from devrf.flow.methods import plug_in
+from devrf.flow.methods import installed, plug_in
 from devrf.pipelines.stage import Stage, StageContext
+from devrf.reconstruct.options import OWN_MOTION
 
 if TYPE_CHECKING:
     from devrf.pipelines.config.scene import SceneConfig
@@ -73,6 +74,11 @@ def _data_set(config: "SceneConfig", scene_dir: Path) -> dict[str, Path]:
 def _flow_method(config: "SceneConfig") -> tuple[str, ...]:
     module = plug_in(config.flow.method)
     return () if module is None else (module,)
+
+
+def _flow_and_motion(config: "SceneConfig") -> tuple[str, ...]:
+    name = config.reconstruct.motion
+    return (*_flow_method(config), *(() if name == "auto" else (installed(OWN_MOTION)[name].module,)))
 
 
 PRINTED_BOARD = tuple(  # how the board looks; its clips are read by ingest alone
@@ -198,12 +204,13 @@ STAGES = (
             *TRAINING,
             "reconstruct.motion_iterations",
             "reconstruct.key_times",
+            "reconstruct.motion",
             "flow",
         ),
         applies=_where_rest_is_known_and_something_moves,
         run=_glue("deformation"),
         rooms=(*TRAINED, "calibration/clocks"),
-        plug_ins=_flow_method,
+        plug_ins=_flow_and_motion,
     ),
     Stage(
         name="evaluate",

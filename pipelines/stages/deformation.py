@@ -57,6 +57,7 @@ def run(context: StageContext) -> None:
         context.progress,
         checkpoint,
         estimator=partial(flow_estimator, context.config, context.scene_dir, context.device),
+        own=context.config.reconstruct.motion,
     )
     save_deformation(context.out, model)
     metrics["test_clocks"] = _test_clocks(context, scene, model, metrics)

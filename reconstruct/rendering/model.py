@@ -119,6 +119,13 @@ class DynamicModel:
         motion = movers.motion(keys, rest_time, rest.canonical.resolution / FIELD_VOXELS)
         return DynamicModel(rest, motion, stands, movers)
 
+    @property
+    def moments(self) -> list[float]:
+        """Times in [0, 1] at which the motion is stored: moments of movers, or key times; none where nothing moves."""
+        if self.movers is not None:
+            return self.movers.times.tolist()
+        return [] if self.motion is None else self.motion.key_times
+
     def alone(self, background: str) -> "DynamicModel":
         """What is in the box before a plain colour, without its surroundings; grids are not copied."""
         parts = [self.rest, self.in_motion]

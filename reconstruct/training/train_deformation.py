@@ -29,6 +29,7 @@ from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.watch import Watch
 from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
 from devrf.reconstruct.training.fine_tune import fine_tune
+from devrf.reconstruct.training.own_motion import fit_own
 from devrf.reconstruct.training.train_motion import train_motion
 from devrf.reconstruct.training.train_movers import train_movers, untrained_errors
 
@@ -53,12 +54,15 @@ def train_deformation(
     checkpoint: Checkpoint = NOWHERE,
     watch: Watch | None = None,
     estimator: Callable[[], FlowEstimator] | None = None,
+    own: str = "auto",
 ) -> tuple[DynamicModel, dict[str, Any]]:
     """The scene at rest with its motion, and what was measured.
 
     Arguments and errors as `train_motion`'s, and `estimator`: makes one of optical flow where something is tracked;
-    without it nothing is.
+    without it nothing is. `own`: a motion model of an installed package, in place of all others.
     """
+    if own != "auto":
+        return fit_own(own, scene, rest, flows, options, progress)
     tracked = None
     if options.together and estimator is not None:
         tracked = _movers(scene, rest, options, device, progress, checkpoint, estimator)

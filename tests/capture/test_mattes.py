@@ -9,7 +9,7 @@ from tests.refused import refused
 
 from devrf.capture.mattes.chroma import find_key, is_screen_hue, parse_colour
 from devrf.capture.mattes.given import cameras_with_mattes, find_mattes, is_inverted, read_given
-from devrf.capture.mattes.make import Clip, chroma_mattes, given_mattes
+from devrf.capture.mattes.make import MatteClip, chroma_mattes, given_mattes
 from devrf.capture.mattes.matte_facts import measure
 from devrf.capture.mattes.tidy import tidy
 from devrf.capture.photos.picture_files import read_pixels, write_png
@@ -28,14 +28,14 @@ def passing() -> Passing:
     return simulate_passing("robot", 11, SIZE, seed=5, spp=8)
 
 
-def clip_of(pictures: np.ndarray, folder: Path, camera: str = "cam0") -> Clip:
+def clip_of(pictures: np.ndarray, folder: Path, camera: str = "cam0") -> MatteClip:
     """The pictures as a camera's compressed frames on disk."""
     files = []
     for n, picture in enumerate(pictures):
         files.append(folder / f"{n:06d}.jpg")
         cv2.imwrite(str(files[-1]), picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
     size = (pictures.shape[2], pictures.shape[1])
-    return Clip(camera, tuple(files), {n: None for n in range(len(files))}, (size,) * len(files))
+    return MatteClip(camera, tuple(files), {n: None for n in range(len(files))}, (size,) * len(files))
 
 
 def shown(files: tuple[Path, ...]) -> np.ndarray:

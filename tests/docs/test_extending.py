@@ -62,16 +62,22 @@ def write_files(folder: Path) -> None:
             (folder / block.file).write_text(block.text, encoding="utf-8")
 
 
+def installed(package: str, folder: Path, patch: pytest.MonkeyPatch) -> Path:
+    """A package of the page, written and installed beside devrf for what this process starts; where its module is."""
+    write_files(folder)
+    offline = ("--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--quiet")
+    target = folder / "installed"
+    install = [sys.executable, "-m", "pip", "install", *offline, "--target", target, folder / package]
+    subprocess.run(install, check=True)
+    patch.setenv("PYTHONPATH", str(target))
+    return target
+
+
 @pytest.mark.full
 def test_the_flow_method(
     scene: Path, tmp_path: Path, devrf_process: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_files(tmp_path)
-    offline = ("--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check", "--quiet")
-    target = tmp_path / "installed"
-    install = [sys.executable, "-m", "pip", "install", *offline, "--target", target, tmp_path / "one-shift"]
-    subprocess.run(install, check=True)
-    monkeypatch.setenv("PYTHONPATH", str(target))
+    target = installed("one-shift", tmp_path, monkeypatch)
     subprocess.run([sys.executable, tmp_path / "try_it.py"], check=True)
 
     method = ("--set", "flow.method=one-shift")
@@ -85,6 +91,25 @@ def test_the_flow_method(
         module.write("# another version\n")
     (reason,) = why(devrf_process, scene, "flow", *method)
     assert "one_shift" in reason
+
+
+@pytest.mark.full
+def test_the_motion_model(
+    scene: Path, tmp_path: Path, devrf_process: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = ("reconstruct.canonical_iterations=50", "reconstruct.resolution=32", "reconstruct.motion=drift")
+    settings = [word for key in short for word in ("--set", key)]
+    assert "devrf.motion" in devrf_process("run", scene, *settings, "--dry-run").said
+    target = installed("drift", tmp_path, monkeypatch)
+    result = devrf_process("run", scene, "--until", "evaluate", "--allow-unhealthy", *settings)
+    assert result.code == 0, result.said
+    metrics = json.loads((scene.parent / "run" / "deformation" / "metrics.json").read_text())
+    assert metrics["decisions"] == ["motion: by drift (drift:create)"] and metrics["largest_motion"] > 0
+    assert "reconstruct.motion" in " ".join(why(devrf_process, scene, "deformation", *settings[:4]))
+    with (target / "drift.py").open("a") as module:
+        module.write("# another version\n")
+    (reason,) = why(devrf_process, scene, "deformation", *settings)
+    assert "drift" in reason
 
 
 def why(devrf_process: Command, scene: Path, stage: str, *arguments: str) -> list[str]:

@@ -84,7 +84,7 @@ def at_rest(forward: bool = False) -> Scene:
 @pytest.mark.parametrize("key", sorted(ReconstructConfig.model_fields))
 def test_the_scene_at_rest_depends_on_the_keys_it_declares(key: str, forward: bool) -> None:
     """And on no other: hours of training must not be done again for a key of the motion."""
-    values: dict[str, object] = {"image_scale": 0.37, "adapt": False}
+    values: dict[str, object] = {"image_scale": 0.37, "adapt": False, "motion": "auto"}
     scene = at_rest(forward)
 
     def rest(**changed: object) -> object:

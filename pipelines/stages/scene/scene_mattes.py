@@ -10,7 +10,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.frames import FrameSet
 from devrf.capture.mattes.chroma import parse_colour
 from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
-from devrf.capture.mattes.make import CameraMattes, Clip, chroma_mattes, given_mattes
+from devrf.capture.mattes.make import CameraMattes, MatteClip, chroma_mattes, given_mattes
 from devrf.capture.photos.photo_folders import list_pictures
 from devrf.capture.scene import PosedFrame, by_camera
 from devrf.capture.system.errors import DevrfError
@@ -20,7 +20,7 @@ from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.inputs.capture_session import raw_file
 from devrf.pipelines.stage import StageContext
 
-Maker = Callable[[Clip, Progress], CameraMattes]
+Maker = Callable[[MatteClip, Progress], CameraMattes]
 
 
 def scene_mattes(
@@ -79,7 +79,7 @@ def _maker(
 
 def _clips(
     context: StageContext, frames: FrameSet, static: tuple[PosedFrame, ...], dynamic: tuple[PosedFrame, ...]
-) -> dict[str, Clip]:
+) -> dict[str, MatteClip]:
     """The scene's pictures by camera, the sweep first; photos with the names they came with."""
     clips = {}
     for name, of_camera in by_camera((*static, *dynamic)).items():
@@ -91,7 +91,7 @@ def _clips(
         )
         small = [_small(f.camera) for f in of_camera]
         re_turned = {frame.index: frame.re_turned for frame in filmed.frames}
-        clips[name] = Clip(
+        clips[name] = MatteClip(
             camera=name,
             files=tuple(f.path for f in of_camera),
             names={f.index: None if photos is None else photos[f.index].name for f in of_camera},
