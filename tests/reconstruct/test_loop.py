@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.refused import refused
 from tests.reconstruct.deaths import until_done
+from tests.refused import refused
 
 from devrf.capture.system.errors import ReconstructError
 from devrf.reconstruct.storage.checkpoint import Saved, State
