@@ -123,7 +123,7 @@ def test_noise_and_reverb_have_the_asked_level() -> None:
     )
     assert silence.std() / 32767 / 0.6 == pytest.approx(0.02 * np.sqrt(0.5), rel=0.1)
     clap = record(
-        np.random.default_rng(0), burst, np.array([0.1]), Microphone(0.0, 0.0, 0.0, 1.0), 1.0, 0.0, 0.3
+        np.random.default_rng(0), burst, np.array([0.1]), Microphone(0.0, 0.0, 0.0, 1.0), 1.0, (0.0, 0.3)
     ).astype(float)
     tail = clap[round(0.2 * SAMPLE_RATE_HZ) : round(0.3 * SAMPLE_RATE_HZ)]
     assert 0 < np.abs(tail).max() < 0.3 * np.abs(clap).max()

@@ -111,7 +111,7 @@ def test_rooms_and_forward_scenes(ball, kind: str) -> None:
     """Models with surroundings, and those in normalised device coordinates."""
     ndc = NDC if kind == "forward" else None
     aabb = CUBE if ndc else UNIT_BOX
-    model = canonical(aabb, planes=16 if ndc else None, ndc=ndc)
+    model = canonical(aabb, planes=16, ndc=ndc)
     model.density += 4 + 2 * torch.randn(model.density.shape, generator=torch.Generator().manual_seed(0))
     model.rebuild_occupancy()
     model.net.requires_grad_(False)
