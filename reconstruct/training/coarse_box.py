@@ -64,8 +64,8 @@ class _SubjectTraining(Training):
             options, resolution=options.coarse_size, channels=3, mlp_width=0, deferred=False,
             alpha_threshold=ALPHA_THRESHOLD, weight_threshold=ALPHA_THRESHOLD,
         )  # fmt: skip
-        self.iterations = options.coarse_iterations
-        self.rays, self.generator, self.near = rays, generator, scene.near
+        super().__init__(options.coarse_iterations, generator)
+        self.rays, self.near = rays, scene.near
         self.plain = plain_of(scene.background, device)
         self.model = model = new_canonical(aabb, options.coarse_size, coarse, ALPHA_INIT, device)
         views = _views(rays, aabb, model.shape, scene.near)
@@ -97,8 +97,7 @@ class _SubjectTraining(Training):
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = {"distance": self.model.distance, "generator": self.generator.get_state()}
-        return tensors | grids_state(self.grids), {}
+        return {"distance": self.model.distance} | grids_state(self.grids), {}
 
     def take_up(self, saved: Saved) -> None:
         """Go on from a `state`."""
@@ -106,7 +105,6 @@ class _SubjectTraining(Training):
         take_up_grids(self.grids, saved.tensors)
         for grid in self.grids.values():
             grid.visit(self.model.reachable())
-        self.generator.set_state(saved.tensors["generator"])
 
 
 def _views(

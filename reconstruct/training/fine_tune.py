@@ -39,7 +39,6 @@ from devrf.reconstruct.sampling.pictures import training
 from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.training_state import grids_state, net_state, take_up_grids, take_up_net
-from devrf.reconstruct.training.guard import Guard
 from devrf.reconstruct.training.loop import ON_CPU, Step, Training, TrainingRun, train
 from devrf.reconstruct.training.losses import entropy_loss, rendering_loss
 
@@ -111,6 +110,7 @@ class _Recipe(Training):
     def __init__(
         self, scene: Scene, rest: RestModel, motion: MotionField, options: MotionOptions, device: str
     ) -> None:
+        super().__init__(options.fine_tuning, torch.Generator().manual_seed(options.seed))
         self.rays, self.rays_at_rest = (
             RaySet(training(frames), scene.image_scale, scene.background, device)
             for frames in (scene.dynamic, scene.static)
@@ -118,11 +118,10 @@ class _Recipe(Training):
         self.changing = changing_pixels(self.rays) if options.importance > 0 else None
         self.left_out = LeftOut(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)
-        self.iterations, self.begun = options.fine_tuning, rest
+        self.begun = rest
         self.rest, self.whole_motion = replace(rest, canonical=_copied(rest.canonical)), motion
         self.tau, self.device = motion.tau(self.rays.times), device
         self.plain, self.options = plain_of(rest.background, device), options
-        self.generator = torch.Generator().manual_seed(options.seed)
         canonical = self.rest.canonical
         reachable = canonical.reachable()
         self.density, self.features = GridTrainer(canonical.density), GridTrainer(canonical.features)
@@ -130,7 +129,6 @@ class _Recipe(Training):
         for grid in self.grids.values():
             grid.visit(reachable)
         self.net = FlatAdam(canonical.net)
-        self.guard = Guard()
         self.windows = _windows(motion, device)
         self.errors_before = self.errors()  # and its last window is entered
 
@@ -171,8 +169,7 @@ class _Recipe(Training):
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = {"generator": self.generator.get_state()} | net_state(self.net)
-        return tensors | grids_state(self.grids), {"window": self.window, "guard": self.guard.state()}
+        return net_state(self.net) | grids_state(self.grids), {"window": self.window}
 
     def go_back(self) -> int:
         """To the scene at rest as the sweep has taught it."""
@@ -190,8 +187,6 @@ class _Recipe(Training):
         _, tensors, numbers = saved
         take_up_grids(self.grids, tensors)
         take_up_net(self.net, tensors)
-        self.generator.set_state(tensors["generator"])
-        self.guard.take_up(numbers["guard"])
         self.enter(numbers["window"])
 
     def model(self) -> RestModel:

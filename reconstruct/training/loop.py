@@ -2,9 +2,10 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from devrf.capture.system.progress import Progress, no_progress, part
@@ -27,7 +28,7 @@ class TrainingRun:
 
     device: str = "cpu"
     progress: Progress = no_progress
-    checkpoint: Checkpoint = field(default_factory=lambda: NOWHERE)
+    checkpoint: Checkpoint = NOWHERE
     watch: Watch | None = None
 
     def part(self, name: str, start: float = 0.0, share: float = 1.0) -> "TrainingRun":
@@ -53,16 +54,18 @@ class Training(ABC):
     Attributes:
         name: As messages call it.
         iterations: Steps in all.
+        generator: Of every random draw.
         guard: Watches the losses of steps that tell them.
         keep_every, tell_every: Steps between two points at which the state may be kept; at which it is told how far
             the training is.
     """
 
     name = ""
-    iterations: int
-    guard: Guard
     keep_every = 1
     tell_every = 10
+
+    def __init__(self, iterations: int, generator: torch.Generator) -> None:
+        self.iterations, self.generator, self.guard = iterations, generator, Guard()
 
     @abstractmethod
     def step(self, iteration: int) -> Step | None:
@@ -70,7 +73,7 @@ class Training(ABC):
 
     @abstractmethod
     def state(self) -> State:
-        """Everything that the next iteration depends on."""
+        """Everything that the next iteration depends on, beside generator and guard."""
 
     @abstractmethod
     def take_up(self, saved: Saved) -> None:
@@ -106,6 +109,8 @@ def train(
     if saved is None:
         begin()
     else:
+        training.generator.set_state(saved.tensors["generator"])
+        training.guard.take_up(saved.numbers["guard"])
         training.take_up(saved)
     done = 0 if saved is None else saved.done
     while done < training.iterations:
@@ -122,8 +127,14 @@ def train(
                 run.watch(log, training.shown)
         done += 1
         if done % training.keep_every == 0:
-            run.checkpoint.keep(done, training.iterations, log, training.state)
+            run.checkpoint.keep(done, training.iterations, log, lambda: _state(training))
     log.close_row()
+
+
+def _state(training: Training) -> State:
+    tensors, numbers = training.state()
+    tensors = tensors | {"generator": training.generator.get_state()}
+    return tensors, numbers | {"guard": training.guard.state()}
 
 
 def _failed(training: Training, step: Step, iteration: int, log: TrainingLog) -> bool:

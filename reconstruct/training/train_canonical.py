@@ -31,7 +31,6 @@ from devrf.reconstruct.sampling.plates import draw_with_plates, plates
 from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.training.canonical_state import CanonicalState, Hull
-from devrf.reconstruct.training.guard import Guard
 from devrf.reconstruct.training.loop import ON_CPU, Step, Training, TrainingRun, train
 from devrf.reconstruct.training.losses import (
     VARIATION_CLAMP,
@@ -129,8 +128,8 @@ class _Recipe(Training):
         generator: torch.Generator,
         device: str,
     ) -> None:
-        self.options, self.draw, self.generator = options, draw, generator
-        self.iterations, self.guard = options.iterations, Guard()
+        super().__init__(options.iterations, generator)
+        self.options, self.draw = options, draw
         self.scalings = {
             max(1, round(share * options.iterations)): n for n, share in enumerate(options.scale_at, 1)
         }
@@ -246,13 +245,10 @@ class _Recipe(Training):
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = self.of.tensors() | {"generator": self.generator.get_state()}
-        tensors |= {f"{GOOD}{name}": values for name, values in self.good.items()}
-        return tensors, {
+        return self.of.tensors() | {f"{GOOD}{name}": values for name, values in self.good.items()}, {
             "model": self.shown().numbers() | {"aabb": self.canonical.aabb.tolist()},  # to look at it
             "samples_per_ray": self.samples_per_ray,
             "good_iteration": self.good_iteration,
-            "guard": self.guard.state(),
         }
 
     def take_up(self, saved: Saved) -> None:
@@ -260,10 +256,8 @@ class _Recipe(Training):
         _, tensors, numbers = saved
         self.of.take_up(tensors)
         self.samples_per_ray, self.good_iteration = numbers["samples_per_ray"], numbers["good_iteration"]
-        self.guard.take_up(numbers["guard"])
         good = {name.removeprefix(GOOD): x for name, x in tensors.items() if name.startswith(GOOD)}
         self.good = {name: x.to(self.canonical.density.device) for name, x in good.items()}
-        self.generator.set_state(tensors["generator"])
 
 
 def _sizes(options: CanonicalOptions, level: int) -> tuple[float, int]:

@@ -62,13 +62,13 @@ class _CoarseTraining(Training):
     def __init__(
         self, scene: Scene, draw: Draw, options: CanonicalOptions, generator: torch.Generator, device: str
     ) -> None:
-        self.draw, self.options, self.generator = draw, options, generator
+        self.draw, self.options = draw, options
         lines, near = trained_lines(scene), scene.near
         aabb = torch.tensor(scene.aabb, dtype=torch.float32)
         shares = SIZES if lines is None else (1.0,)
         self.sizes = [max(8, round(share * options.coarse_size)) for share in shares]
         self.per_size = max(1, options.coarse_iterations // len(self.sizes))
-        self.iterations = self.per_size * len(self.sizes)
+        super().__init__(self.per_size * len(self.sizes), generator)
         grid, reach = grey(self.sizes[0], device), reach_of(scene)
         self.model = Shell(aabb, grid, self.sizes[-1], near, reach, inside=True).begun()
         if lines is not None:
@@ -93,8 +93,7 @@ class _CoarseTraining(Training):
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = {"distance": self.model.distance, "generator": self.generator.get_state()}
-        return tensors | grids_state({"grid": self.trainer}), {}
+        return {"distance": self.model.distance} | grids_state({"grid": self.trainer}), {}
 
     def take_up(self, saved: Saved) -> None:
         """Go on from a `state`."""
@@ -104,7 +103,6 @@ class _CoarseTraining(Training):
         self._new_trainer()
         take_up_grids({"grid": self.trainer}, tensors)
         self.trainer.visit(self.model.reachable())
-        self.generator.set_state(tensors["generator"])
 
     def _new_trainer(self) -> None:
         self.trainer = GridTrainer(self.model.grid, copies_for(self.model.grid.device))

@@ -44,7 +44,7 @@ from devrf.reconstruct.sampling.pictures import training
 from devrf.reconstruct.sampling.pixel_flow import PixelFlow
 from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
-from devrf.reconstruct.training.guard import LOOK_EVERY, Guard, diverged
+from devrf.reconstruct.training.guard import LOOK_EVERY, diverged
 from devrf.reconstruct.training.loop import ON_CPU, Training, TrainingRun, train
 from devrf.reconstruct.training.losses import (
     VARIATION_CLAMP,
@@ -134,7 +134,6 @@ class _Recipe(Training):
         )
         self.rest, self.rays, self.log = replace(rest, canonical=looked_at), rays, log
         self.options = options = levels_for(options, rest.canonical) if options.adapt else options
-        self.generator = torch.Generator().manual_seed(options.seed)
         flows, self.device = checked.flows, str(rays.device)
         self.around = PixelSurroundings(DynamicModel(rest), rays)
         self.flow = PixelFlow(rays, flows, options.flow_confidence)
@@ -158,7 +157,6 @@ class _Recipe(Training):
         self.unit = 1.0 if rest.canonical.ndc is not None else REFERENCE_EXTENT / float(extent.max())
         # Samples that the motion led out of the box, and all: asked for at the end, since a GPU would be waited for.
         self.looked_up = torch.zeros(2, dtype=torch.int64, device=self.device)
-        self.guard = Guard()
         self.keys_left = 0  # as they were before, because training made them worse
         self.level = 0
         self.still = still_beyond_rest(rays, self.tau_of_frame, keys, rest_key)
@@ -169,7 +167,7 @@ class _Recipe(Training):
                 decisions.append(decision)
         self.decisions: list[Decision] = [one for one in decisions if one is not None]
         self.visits = [(level, key) for level in range(len(options.levels)) for key in self.order]
-        self.iterations = len(self.visits)
+        super().__init__(len(self.visits), torch.Generator().manual_seed(options.seed))
 
     @property
     def lr(self) -> float:
@@ -215,24 +213,20 @@ class _Recipe(Training):
         tensors = {
             "backward": self.motion.backward,
             "forward": self.motion.forward,
-            "generator": self.generator.get_state(),
             "looked_up": self.looked_up,
         }
         return tensors, {
             "level": self.level,
             "keys_left": self.keys_left,
-            "guard": self.guard.state(),
             "motion": self.motion.numbers() | {"aabb": self.motion.aabb.tolist()},  # to look at it
         }
 
     def take_up(self, saved: Saved) -> None:
         """Go on from a `state`."""
         _, tensors, numbers = saved
-        self.guard.take_up(numbers["guard"])
         self.level, self.keys_left = numbers["level"], numbers["keys_left"]
         fields = {name: tensors[name] for name in ("backward", "forward")}
         self.motion = replace(self.motion, **fields).stored(self.device)
-        self.generator.set_state(tensors["generator"])
         self.looked_up.copy_(tensors["looked_up"])
 
 

@@ -37,7 +37,6 @@ from devrf.reconstruct.sampling.retimed import retimed
 from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.training_state import grids_state, net_state, take_up_grids, take_up_net
-from devrf.reconstruct.training.guard import Guard
 from devrf.reconstruct.training.loop import ON_CPU, Step, Training, TrainingRun, train
 from devrf.reconstruct.training.losses import entropy_loss, per_point_loss, rendering_loss
 
@@ -140,7 +139,7 @@ class _Recipe(Training):
         self.begun, self.keep_every = (stands, movers.canonical), OCCUPANCY_EVERY  # where it looks anew
         more = longer(float(times[-1] - times[0]) * (scene.t1_s - scene.t0_s))
         self.scene, self.options, self.rest = scene, options, rest
-        self.iterations = round(more * options.together)
+        super().__init__(round(more * options.together), torch.Generator().manual_seed(options.seed))
         at, self.pictures = _times(pictures.rays, scene, offsets_s)
         timed = pictures.at(at)
         self.rays, self.changing, self.around = timed.rays, timed.changing, timed.around
@@ -149,7 +148,6 @@ class _Recipe(Training):
         rest_time = torch.tensor([scene.rest_time or 0.0], device=self.rays.times.device)
         self.in_sweep = movers.at_rest(rest_time)
         self.corrections = Corrections(movers, self.rays.times)
-        self.generator = torch.Generator().manual_seed(options.seed)
         net = copy.deepcopy(stands.net)
         for parameter in net.parameters():
             parameter.requires_grad_(True)
@@ -157,7 +155,6 @@ class _Recipe(Training):
         ends = float(times[0]), float(times[-1])
         self.shading = Shading.none(own.aabb, *ends, own.density.device, more)
         self.movers = replace(movers, canonical=own, shading=self.shading)
-        self.guard = Guard()
         self._begin()
 
     @cached_property
@@ -233,20 +230,15 @@ class _Recipe(Training):
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = {"generator": self.generator.get_state()}
-        tensors |= net_state(self.net) | grids_state(self.grids)
-        tensors |= net_state(self.light, "light ") | net_state(self.places, "places ")
-        return tensors, {"guard": self.guard.state()}
+        tensors = net_state(self.net) | grids_state(self.grids)
+        return tensors | net_state(self.light, "light ") | net_state(self.places, "places "), {}
 
     def take_up(self, saved: Saved) -> None:
         """Go on from a `state`, at a point at which the next step looks."""
-        _, tensors, numbers = saved
-        take_up_grids(self.grids, tensors)
-        take_up_net(self.net, tensors)
-        self.generator.set_state(tensors["generator"])
-        self.guard.take_up(numbers["guard"])
-        take_up_net(self.light, tensors, "light ")
-        take_up_net(self.places, tensors, "places ")
+        take_up_grids(self.grids, saved.tensors)
+        nets = {"": self.net, "light ": self.light, "places ": self.places}
+        for name, net in nets.items():
+            take_up_net(net, saved.tensors, name)
 
     def go_back(self) -> int:
         """To the beginning."""

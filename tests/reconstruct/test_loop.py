@@ -11,7 +11,7 @@ from devrf.capture.system.errors import ReconstructError
 from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.watch import Watch
-from devrf.reconstruct.training.guard import MOST, Guard
+from devrf.reconstruct.training.guard import MOST
 from devrf.reconstruct.training.loop import ON_CPU, Step, Training, TrainingRun, train
 
 
@@ -21,7 +21,8 @@ class Falling(Training):
     name = "falling"
 
     def __init__(self, iterations: int = 20, leaps_above: float = 2.0) -> None:
-        self.iterations, self.guard, self.value, self.leaps_above = iterations, Guard(), 1.0, leaps_above
+        super().__init__(iterations, torch.Generator())
+        self.value, self.leaps_above = 1.0, leaps_above
         self.steps: list[int] = []
 
     def step(self, iteration: int) -> Step:
@@ -30,11 +31,10 @@ class Falling(Training):
         return Step(3, {"mse": torch.tensor(self.value)})
 
     def state(self) -> State:
-        return {"value": torch.tensor(self.value, dtype=torch.float64)}, {"guard": self.guard.state()}
+        return {"value": torch.tensor(self.value, dtype=torch.float64)}, {}
 
     def take_up(self, saved: Saved) -> None:
         self.value = float(saved.tensors["value"])
-        self.guard.take_up(saved.numbers["guard"])
 
     def go_back(self) -> int:
         self.value = 1.0

@@ -25,7 +25,7 @@ def mosaic(
 
 
 @dataclass(frozen=True)
-class Shot:
+class DngTags:
     """What a DNG's tags say.
 
     Attributes:
@@ -45,7 +45,7 @@ class Shot:
     exposure_s: float = 0.01
 
 
-def write_dng(path: Path, raw: Int[np.ndarray, "h w"], shot: Shot) -> None:
+def write_dng(path: Path, raw: Int[np.ndarray, "h w"], shot: DngTags) -> None:
     """Write sensor values of 16 bits as a DNG."""
     height, width = raw.shape
     pixels = raw.astype("<u2").tobytes()
