@@ -25,13 +25,14 @@ from devrf.capture.scene import PosedFrame, Scene
 from devrf.capture.system.processes import memory_of
 from devrf.flow.store import CameraFlow
 from devrf.lab.bench.bench_rows import Row
+from devrf.reconstruct import recipe
 from devrf.reconstruct.adapt.footprint import footprint
 from devrf.reconstruct.adapt.memory_fit import UNSURE
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions, preset
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Overrides, preset
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.model_io import load_rest, save_rest
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
-from devrf.reconstruct.training.train_deformation import train_deformation
 
 RESULT = Path("benchmarks/results/memory-cpu.json")
 SMALL, LARGE = (48, 40), (960, 800)
@@ -75,13 +76,13 @@ def _train(case: dict[str, Any]) -> tuple[int, int]:
     """Predicted and measured peak, bytes."""
     with tempfile.TemporaryDirectory() as folder:
         scene = _scene(Path(folder), case)
-        state = Checkpoint(Path(folder) / "state", every_s=0.0)
-        options = preset(case.get("preset", "fast"), resolution=case["R"], adapt=False)
+        run = TrainingRun(checkpoint=Checkpoint(Path(folder) / "state", every_s=0.0))
+        options = preset(case.get("preset", "fast"), Overrides(resolution=case["R"], adapt=False))
         rest, motion = _few_iterations(case, options.canonical, options.motion)
         if not scene.dynamic:
             held = _forget_peak()
             predicted = footprint(scene, rest, held=held).main_bytes
-            train_canonical(scene, rest, checkpoint=state)
+            train_canonical(scene, rest, run)
             return predicted, _peak()
         model = Path(folder) / "rest.safetensors"
         at_rest = train_canonical(scene, replace(rest, rays=500))
@@ -90,7 +91,7 @@ def _train(case: dict[str, Any]) -> tuple[int, int]:
         held = _forget_peak()
         trained = load_rest(model)
         predicted = footprint(scene, motion, held=held).main_bytes
-        train_deformation(scene, trained, _flows(scene) if case.get("flow") else {}, motion, checkpoint=state)
+        recipe.motion(scene, trained, _flows(scene) if case.get("flow") else {}, motion, run)
         return predicted, _peak()
 
 

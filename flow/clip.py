@@ -7,7 +7,7 @@ entry is there, and nowhere valid. A clip is one camera's, so no pair ever cross
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,24 +37,35 @@ def gaps_of(camera: str, time: Sequence[float] | Float[np.ndarray, " n"]) -> Boo
     return steps > GAP * np.median(steps)
 
 
+@dataclass(frozen=True)
+class ClipPictures:
+    """One camera's used frames, in order of time.
+
+    Attributes:
+        camera: Name, for files and messages.
+        index: Frame numbers [N].
+        gap: Between which frames there is no flow [N - 1, the pairs].
+        load: Gives the n-th frame's full-size RGB picture; asked from several threads.
+    """
+
+    camera: str
+    index: Sequence[int]
+    gap: Bool[np.ndarray, " pairs"]
+    load: Load
+
+
 def clip_flow(
-    camera: str,
-    index: Sequence[int],
-    gap: Bool[np.ndarray, " pairs"],
-    load: Load,
+    clip: ClipPictures,
     size: tuple[int, int],
     find: Find,
     folder: Path,
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> FlowChecks:
-    """Write the backward flow of one camera's used frames, in order of time; pairs that are there are kept.
+    """Write the backward flow of a clip; pairs that are there are kept.
 
     Args:
-        camera: Name, for files and messages.
-        index: Frame numbers [N].
-        gap: Between which frames there is no flow [N - 1, the pairs].
-        load: Gives the n-th frame's full-size RGB picture; asked from several threads.
+        clip: The frames.
         size: (width, height) of the stored flow.
         find: Gives the flow of a pair; asked from as many threads as there are workers.
         folder: Where `<camera>/<index>.npz` are written, and looked for.
@@ -63,6 +74,7 @@ def clip_flow(
     Raises:
         FlowError: Pictures of different sizes, or that no method takes.
     """
+    camera, index, gap = clip.camera, clip.index, clip.gap
     pairs = range(1, len(index))
     whole = [n for n in pairs if not gap[n - 1]]
     asked = set(whole[:: max(1, len(whole) // ASKED_ELSEWHERE)])
@@ -77,7 +89,7 @@ def clip_flow(
             found = np.zeros((size[1], size[0], 2), np.float32), np.zeros(size[::-1], np.uint8), PairChecks()
         else:
             try:
-                found = measured(find, n, load, size, n in asked, len(index) - 1)
+                found = measured(find, n, clip.load, size, n in asked, len(index) - 1)
             except FlowError as error:
                 text = f"camera {camera!r}: frames {index[n]} and {index[n - 1]}: {error}"
                 raise FlowError(error.code, text) from error

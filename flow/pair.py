@@ -78,7 +78,7 @@ def measured(
     length = np.hypot(found.flow[..., 0], found.flow[..., 1])
     moving = textured & (length > MOVING_PX)
     trusted = moving & valid
-    elsewhere = _elsewhere(found.flow, trusted, whole, before, n, load, last) if neighbours else {}
+    elsewhere = _elsewhere(found.flow, trusted, (whole, before), n, load, last) if neighbours else {}
     checks = PairChecks(
         pixels=length.size,
         textured=int(textured.sum()),
@@ -156,8 +156,7 @@ def _shake_px(flow: Float32[np.ndarray, "h w 2"], trusted: Bool[np.ndarray, "h w
 def _elsewhere(
     flow: Float32[np.ndarray, "h w 2"],
     where: Bool[np.ndarray, "h w"],
-    current: Picture,
-    previous: Picture,
+    pair: tuple[Picture, Picture],
     n: int,
     load: Load,
     last: int,
@@ -167,7 +166,7 @@ def _elsewhere(
     `next`, `before`: that of the pair after, of the pair before. `forward`: to the next frame instead of from it.
     `full size`: in pixels of the full-size picture.
     """
-    height, width = flow.shape[:2]
+    (current, previous), (height, width) = pair, flow.shape[:2]
 
     def left(to: Picture, of: Picture, vectors: Float32[np.ndarray, "h w 2"]) -> float:
         small, source = (luma(shrink(picture, width, height)) for picture in (to, of))

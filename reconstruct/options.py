@@ -290,31 +290,38 @@ def resized_motion(motion: MotionOptions, ratio: float) -> MotionOptions:
     return replace(motion, levels=levels, resolution=round(ratio * motion.resolution), rays=rays)
 
 
-def preset(
-    name: str,
-    *,
-    forward: bool = False,
-    resolution: int | None = None,
-    rays: int | None = None,
-    canonical_iterations: int | None = None,
-    motion_iterations: int | None = None,
-    key_times: int | None = None,
-    adapt: bool | None = None,
-    seed: int = 0,
-) -> Options:
-    """A preset with single numbers replaced.
+@dataclass(frozen=True)
+class Overrides:
+    """Single numbers in place of a preset's; None: as the preset has it.
 
-    Args:
-        name: tiny, fast or reference.
-        forward: The scene is modelled in normalised device coordinates.
+    Attributes:
         resolution: R of the canonical grid; every other grid keeps its proportion to it.
         rays: Rays per iteration, both stages.
         canonical_iterations: Of stage 1's fine model; the coarse model's keep their proportion to it.
         motion_iterations: Of stage 2, per key time, over all levels; fine-tuning's keep their proportion to it.
         key_times: How many, where it is not to be decided by the scene.
-        adapt: Whether to decide by the scene what is not given here; None: as the preset has it.
+        adapt: Whether to decide by the scene what is not given here.
         seed: Of both stages.
     """
+
+    resolution: int | None = None
+    rays: int | None = None
+    canonical_iterations: int | None = None
+    motion_iterations: int | None = None
+    key_times: int | None = None
+    adapt: bool | None = None
+    seed: int = 0
+
+
+def preset(name: str, given: Overrides | None = None, *, forward: bool = False) -> Options:
+    """A preset with single numbers replaced.
+
+    Args:
+        name: tiny, fast or reference.
+        given: What is replaced.
+        forward: The scene is modelled in normalised device coordinates.
+    """
+    given = given or Overrides()
     if name not in PRESETS:
         raise ValueError(f"preset is {name!r}, expected one of {', '.join(PRESETS)}")
     canonical, motion = PRESETS[name].canonical, PRESETS[name].motion
@@ -322,13 +329,13 @@ def preset(
     if forward:
         canonical = replace(canonical, **(PUBLISHED_FORWARD | FORWARD[name]))
         motion = replace(motion, resolution=canonical.resolution)
-    if adapt is not None:
-        canonical, motion = replace(canonical, adapt=adapt), replace(motion, adapt=adapt)
-    if resolution is not None:
-        ratio = resolution / inward
+    if given.adapt is not None:
+        canonical, motion = replace(canonical, adapt=given.adapt), replace(motion, adapt=given.adapt)
+    if given.resolution is not None:
+        ratio = given.resolution / inward
         motion = resized_motion(motion, ratio)
         canonical = replace(resized_whole(canonical, ratio), adapt=False)
-    if rays is not None:
+    if (rays := given.rays) is not None:
         canonical = replace(
             canonical,
             rays=rays,
@@ -341,8 +348,8 @@ def preset(
             rays_given=True,
             together_rays=max(64, round(rays * motion.together_rays / motion.rays)),
         )
-    if canonical_iterations is not None:
-        ratio = canonical_iterations / PRESETS[name].canonical.iterations
+    if given.canonical_iterations is not None:
+        ratio = given.canonical_iterations / PRESETS[name].canonical.iterations
         least = FEWEST_COARSE if canonical.box_search == "coarse" else 1
         canonical = replace(
             canonical,
@@ -350,12 +357,13 @@ def preset(
             coarse_iterations=max(least, round(ratio * canonical.coarse_iterations)),
             occupancy_every=max(10, round(ratio * canonical.occupancy_every)),
         )
-    if motion_iterations is not None:
-        ratio = motion_iterations / sum(motion.iterations)
+    if given.motion_iterations is not None:
+        ratio = given.motion_iterations / sum(motion.iterations)
         motion = replace(
             motion,
             iterations=tuple(max(1, round(n * ratio)) for n in motion.iterations),
             fine_tuning=round(ratio * motion.fine_tuning),
             together=round(ratio * motion.together),
         )
-    return Options(replace(canonical, seed=seed), replace(motion, keys=key_times, seed=seed))
+    seed = given.seed
+    return Options(replace(canonical, seed=seed), replace(motion, keys=given.key_times, seed=seed))

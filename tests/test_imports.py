@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -179,3 +180,54 @@ def test_a_room_is_not_imported_by_its_bare_name(room: str) -> None:
         [sys.executable, "-c", f"import {room}"], cwd=REPOSITORY, capture_output=True, text=True
     )
     assert result.returncode and f"devrf.{room}" in result.stderr
+
+
+MOST_PARAMETERS, MOST_METHODS = 6, 12
+WIDE, LARGE = 19, 1  # functions and classes that have more: never more of these than there are
+
+
+def unlike_others(path: Path) -> bool:
+    """Kernels, whose arguments are what a GPU takes, and functions of the command line, whose are its options."""
+    return "kernels" in path.parts or path.parts[1] == "cli" or path.stem.endswith(("_command", "_commands"))
+
+
+def definitions(node: ast.AST) -> Iterator[ast.FunctionDef | ast.ClassDef]:
+    """All functions and classes in a tree, at any depth."""
+    for child in getattr(node, "body", ()):
+        if isinstance(child, ast.FunctionDef | ast.ClassDef):
+            yield child
+        yield from definitions(child)
+
+
+def wide_functions(tree: ast.AST) -> list[str]:
+    """Functions with many parameters."""
+    wide = []
+    for node in definitions(tree):
+        if isinstance(node, ast.FunctionDef) and "wp." not in "".join(map(ast.unparse, node.decorator_list)):
+            given = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            if len(set(given) - {"self", "cls"}) > MOST_PARAMETERS:
+                wide.append(node.name)
+    return wide
+
+
+def large_classes(tree: ast.AST) -> list[str]:
+    """Classes with many methods, properties counted."""
+    classes = [node for node in definitions(tree) if isinstance(node, ast.ClassDef)]
+    return [c.name for c in classes if sum(isinstance(n, ast.FunctionDef) for n in c.body) > MOST_METHODS]
+
+
+def test_functions_take_few_parameters_and_classes_have_few_methods() -> None:
+    wide, large = [], []
+    for path in (path for room in ORDER for path in (REPOSITORY / room).rglob("*.py")):
+        tree, name = ast.parse(path.read_text()), path.relative_to(REPOSITORY)
+        wide += [] if unlike_others(name) else [f"{name}: {found}" for found in wide_functions(tree)]
+        large += [f"{name}: {found}" for found in large_classes(tree)]
+    assert len(wide) <= WIDE, sorted(wide)
+    assert len(large) <= LARGE, sorted(large)
+
+
+def test_a_wide_function_and_a_large_class_are_found() -> None:
+    seven = ", ".join("abcdefg")
+    methods = "".join(f"\n    def m{n}(self): ..." for n in range(MOST_METHODS + 1))
+    tree = ast.parse(f"def f({seven}): ...\ndef g(self, a, *, b): ...\nclass C:{methods}")
+    assert wide_functions(tree) == ["f"] and large_classes(tree) == ["C"]

@@ -98,10 +98,10 @@ def stability(
     A suite that was stopped goes on where it was, with the same --out.
     """
     from devrf.lab.bench.stability.axes import AXES, GROUPS, axes_of
-    from devrf.lab.bench.stability.suite import run_stability
+    from devrf.lab.bench.stability.suite import Extent, run_stability
 
     chosen = list(AXES) if axes is None else axes_of(names_of("--axes", axes, [*GROUPS, *AXES]))
-    run_stability(asked.run, asked.folder, chosen, severities, range(seeds), asked.rows, minutes)
+    run_stability(asked.run, asked.folder, chosen, Extent(severities, range(seeds), minutes), asked.rows)
 
 
 add_accuracy(bench)

@@ -65,12 +65,13 @@ class Trained:
             raise InputError("option-misplaced", text)
         if not moved and self.scene.dynamic:
             request.notes.append("the motion is not trained yet: this is the scene at rest alone")
+        from devrf.reconstruct.rendering.model import moments_of
         from devrf.reconstruct.storage.model_io import load_model
 
         device = resolve_device(request.options.device or "auto")
         self.model: DynamicModel = load_model(request.run_dir, device)
         self.moments: list[Moment] = [times.REST]
-        if keys := self.model.moments:
+        if keys := moments_of(self.model):
             self.moments = times.chosen(default_times if wish is None else wish, self.scene, keys)
 
     @property

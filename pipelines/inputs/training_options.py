@@ -1,5 +1,6 @@
 """What scene.yaml says about training, as the reconstruction's own options."""
 
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 from devrf.capture.scene import Scene
@@ -11,18 +12,7 @@ if TYPE_CHECKING:
 
 def training_options(config: SceneConfig, scene: Scene) -> "Options":
     """The preset, for such a scene, with what the file overrides."""
-    from devrf.reconstruct.options import preset
+    from devrf.reconstruct.options import Overrides, preset
 
-    chosen = config.reconstruct
-    options = preset(
-        config.preset,
-        forward=scene.ndc is not None,
-        resolution=chosen.resolution,
-        rays=chosen.rays,
-        canonical_iterations=chosen.canonical_iterations,
-        motion_iterations=chosen.motion_iterations,
-        key_times=chosen.key_times,
-        adapt=chosen.adapt,
-        seed=chosen.seed,
-    )
-    return options
+    named = {f.name: getattr(config.reconstruct, f.name) for f in fields(Overrides)}
+    return preset(config.preset, Overrides(**named), forward=scene.ndc is not None)

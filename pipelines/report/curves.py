@@ -67,8 +67,8 @@ def _training(run: RunFolder, stage: str) -> list[Chart]:
     ]
     return _drawn(
         [
-            line_chart([psnr], "iteration", "PSNR of training rays, dB", marks=marks),
-            line_chart(lines, "iteration", "loss, before its weight", log_y=True, marks=marks),
+            line_chart([psnr], ("iteration", "PSNR of training rays, dB"), marks=marks),
+            line_chart(lines, ("iteration", "loss, before its weight"), log_y=True, marks=marks),
         ]
     )
 
@@ -81,7 +81,7 @@ def _clock(curve: dict[str, Any], by: str, scale: float, labels: tuple[str, str]
     title, delay = f"{curve.get('first')} and {curve.get('second')}: {by}", curve.get("delay_s")
     marks = [(scale * delay, f"{scale * delay:.4g}")] if is_number(delay) else []
     series = Series("", [scale * as_float(x) for x in lags], [as_float(y) for y in values])
-    return line_chart([series], *labels, marks=marks, title=title, small=True)
+    return line_chart([series], labels, marks=marks, title=title, small=True)
 
 
 def _drawn(charts: Iterable[Chart | None]) -> list[Chart]:

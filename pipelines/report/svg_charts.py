@@ -69,8 +69,7 @@ class Chart:
 
 def line_chart(
     series: Sequence[Series],
-    x_label: str,
-    y_label: str,
+    labels: tuple[str, str],
     *,
     log_y: bool = False,
     marks: Sequence[tuple[float, str]] = (),
@@ -81,12 +80,13 @@ def line_chart(
 
     Args:
         series: Lines; points that are not finite (or not positive on a logarithmic axis) break the line.
-        x_label, y_label: Axis titles with units.
+        labels: Titles of the axes, x and y, with units.
         log_y: A logarithmic axis.
         marks: Vertical lines with a word each (for example where a level begins).
         title: Words above the chart.
         small: For rows of three.
     """
+    x_label, y_label = labels
     drawn = [(s, _drawable(s.x, False), _drawable(s.y, log_y)) for s in series]
     drawn = [(s, x, y) for s, x, y in drawn if np.isfinite(x + y).any()]
     if not drawn:

@@ -83,7 +83,7 @@ def _over_time(views: Sequence[View]) -> Chart | None:
             psnr = [as_float(at(v.row, key)) for v in mine]
             series.append(Series(f"{camera}, {words}", times, psnr, 2 * n + dashed, dashed))
     in_s = any(v.row.get("time_s") is not None for v in views)
-    return line_chart(series, "time, s" if in_s else "time (0 to 1)", "PSNR, dB")
+    return line_chart(series, ("time, s" if in_s else "time (0 to 1)", "PSNR, dB"))
 
 
 def _frame(run: RunFolder, view: View, several: bool) -> dict[str, Any] | None:

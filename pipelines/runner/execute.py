@@ -5,7 +5,6 @@ import os
 import socket
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import devrf
@@ -183,7 +182,11 @@ def _run_stage(run: Run, workspace: Workspace, now: Standing, budget: Budget) ->
             remember_forced(run.run_dir, stage.name)
         folder = workspace.new_folder(stage.name)
         folder.mkdir()
-        say = partial(run.talk.decision, stage.name)
+
+        def say(text: str, stage: str = stage.name) -> None:
+            run.talk.event("decision", stage=stage, text=text.strip())
+            run.talk.say(text)
+
         start = time.monotonic()
         with run.talk.progress(stage.name) as progress:
             context = StageContext(

@@ -12,9 +12,10 @@ from devrf.pipelines.health.training_rows import restart_measures
 from devrf.pipelines.inputs.training_options import training_options
 from devrf.pipelines.run_folder.training_checkpoint import training_checkpoint
 from devrf.pipelines.stage import StageContext
+from devrf.reconstruct import recipe
 from devrf.reconstruct.evaluation.check_rest import check_rest
 from devrf.reconstruct.storage.model_io import FILE, save_rest
-from devrf.reconstruct.training.train_canonical import train_canonical
+from devrf.reconstruct.training.loop import TrainingRun
 
 
 def run(context: StageContext) -> None:
@@ -23,7 +24,7 @@ def run(context: StageContext) -> None:
     asked = training_options(context.config, scene).canonical
     checkpoint = training_checkpoint(context, "canonical", asked)
     options, fits = fit_to_memory(context, scene, asked, TrainingMemory.now(context), checkpoint)
-    model = train_canonical(scene, options, context.device, context.progress, checkpoint)
+    model = recipe.canonical(scene, options, TrainingRun(context.device, context.progress, checkpoint))
     save_rest(context.out / FILE, model)
     for line in model.metrics["decisions"]:
         context.say(f"  {line}")

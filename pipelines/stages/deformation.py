@@ -24,13 +24,15 @@ from devrf.pipelines.inputs.training_options import training_options
 from devrf.pipelines.run_folder.clocks import clock_dict, clocks_in_use
 from devrf.pipelines.run_folder.training_checkpoint import training_checkpoint
 from devrf.pipelines.stage import StageContext
+from devrf.reconstruct import recipe
 from devrf.reconstruct.adapt.sizing import levels_for
 from devrf.reconstruct.evaluation.check_motion import check_motion
 from devrf.reconstruct.rendering.model import DynamicModel
 from devrf.reconstruct.sampling.retimed import as_trained
 from devrf.reconstruct.storage.model_io import FILE, load_rest, save_deformation
+from devrf.reconstruct.training.loop import TrainingRun
+from devrf.reconstruct.training.own_motion import fit_own
 from devrf.reconstruct.training.test_clocks import ViewOffset, view_offset
-from devrf.reconstruct.training.train_deformation import train_deformation
 
 KNOWN_MS = 5.0  # standard deviation of a clock that is good to measure by: those by sound are better
 FIELD = "motion is a field: clocks are found on models of parts only"
@@ -48,17 +50,15 @@ def run(context: StageContext) -> None:
     checkpoint = training_checkpoint(context, "deformation", asked)
     options, fits = fit_to_memory(context, scene, asked, memory, checkpoint)
     flows = read_flows(context.run_dir / "flow")
-    model, metrics = train_deformation(
-        scene,
-        rest,
-        flows,
-        options,
-        context.device,
-        context.progress,
-        checkpoint,
-        estimator=partial(flow_estimator, context.config, context.scene_dir, context.device),
-        own=context.config.reconstruct.motion,
+    training, own = (
+        TrainingRun(context.device, context.progress, checkpoint),
+        context.config.reconstruct.motion,
     )
+    estimator = partial(flow_estimator, context.config, context.scene_dir, context.device)
+    if own == "auto":
+        model, metrics = recipe.motion(scene, rest, flows, options, training, estimator)
+    else:
+        model, metrics = fit_own(own, scene, rest, flows, options, context.progress)
     save_deformation(context.out, model)
     metrics["test_clocks"] = _test_clocks(context, scene, model, metrics)
     for line in metrics["decisions"]:

@@ -20,8 +20,9 @@ from devrf.pipelines.health.left_out import NO_PICTURE
 from devrf.pipelines.run_folder.clocks import clocks_in_use
 from devrf.pipelines.run_folder.trained_model import trained_scene
 from devrf.pipelines.stage import StageContext
+from devrf.reconstruct import recipe
 from devrf.reconstruct.evaluation.confidence import subject_seen
-from devrf.reconstruct.evaluation.evaluate import NO_TEST_CAMERA, LpipsNets, evaluate, motion_psnr
+from devrf.reconstruct.evaluation.evaluate import NO_TEST_CAMERA, Known, LpipsNets, motion_psnr
 from devrf.reconstruct.rendering.model import render_view
 from devrf.reconstruct.storage.model_io import load_model
 
@@ -49,11 +50,10 @@ def run(context: StageContext) -> None:
     masks = {} if truth_file is None else true_masks(truth_file, scene)
     plain = model.unshaded()
     clocks = read_object(context.run_dir / "deformation" / "metrics.json").get("test_clocks", {})
-    metrics = evaluate(
-        scene, partial(render_view, model), lpips, context.out, context.progress, masks,
-        None if plain is None else partial(render_view, plain), clocks,
-        why_no_test_views(config, context.run_dir),
-    )  # fmt: skip
+    unshaded = None if plain is None else partial(render_view, plain)
+    known = Known(masks, unshaded, clocks, why_no_test_views(config, context.run_dir))
+    render = partial(render_view, model)
+    metrics = recipe.evaluation(scene, render, lpips, context.out, context.progress, known)
     models = [path for stage in TRAINED for path in (context.run_dir / stage).glob("*.safetensors")]
     metrics |= {
         "confidence": subject_seen(scene, model),

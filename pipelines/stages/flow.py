@@ -19,7 +19,7 @@ from devrf.capture.scene import PosedFrame, load_image
 from devrf.capture.system.durable import write_json
 from devrf.capture.system.progress import part
 from devrf.flow.checks import FlowChecks
-from devrf.flow.clip import clip_flow, gaps_of
+from devrf.flow.clip import ClipPictures, clip_flow, gaps_of
 from devrf.flow.given import METHOD, given
 from devrf.flow.pair import estimated
 from devrf.pipelines.budget.at_once import flow_at_once
@@ -51,11 +51,9 @@ def run(context: StageContext) -> None:
 
         gap = gaps_of(camera, [time_of(frame) for frame in frames])
         paths = [frame.flow for frame in frames]
+        index = [frame.index for frame in frames]
         found = clip_flow(
-            camera,
-            [frame.index for frame in frames],
-            gap if estimator is not None else np.zeros_like(gap),
-            load,
+            ClipPictures(camera, index, gap if estimator is not None else np.zeros_like(gap), load),
             (small.width, small.height),
             given(lambda k, paths=paths: _read(paths[k])) if estimator is None else estimated(estimator),
             unfinished,

@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
@@ -21,7 +22,6 @@ from devrf.capture.photos.photo_folders import list_pictures
 from devrf.capture.photos.picture_files import open_picture
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.pipelines.budget.at_once import swept_at_once
-from devrf.pipelines.config.scene import SceneConfig, StaticPosesConfig
 from devrf.pipelines.health.board_rows import board_measures
 from devrf.pipelines.health.sweep_rows import sweep_measures
 from devrf.pipelines.inputs.board_clips import files_of
@@ -41,17 +41,13 @@ def run(context: StageContext) -> None:
     sfm = context.config.calibration.static_poses
     stored = None if board is None else board.intrinsics.turned(frames.cameras[BOARD].upright.inverse)
     threads, side_px = swept_at_once(context, frames.cameras[SWEEP])
-    model, without_mask = recover_sweep(
-        ingest,
-        frames.cameras[SWEEP],
-        context.out,
-        sfm,
-        context.scene_dir,
-        context.config.path(context.scene_dir, capture.static),
-        known=stored,
-        progress=context.progress,
-        options=SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px),
-    )
+    masks = None
+    if sfm.masks is not None:
+        folder, source = (context.config.path(context.scene_dir, p) for p in (sfm.masks, capture.static))
+        masks = folder, source
+    options = SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px)
+    swept = Swept(ingest, frames.cameras[SWEEP], stored, masks)
+    model, without_mask = recover_sweep(swept, context.out, options, context.progress)
     lens = None if stored is None else stored.turned(frames.cameras[SWEEP].upright)
     context.measures += sweep_measures(model, lens, side_px)
     context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
@@ -60,32 +56,37 @@ def run(context: StageContext) -> None:
         context.measures += board_measures(SWEEP, board)
 
 
+@dataclass(frozen=True)
+class Swept:
+    """What is known of the sweep's pictures.
+
+    Attributes:
+        ingest: The ingest folder.
+        frames: Its entry of the sweep.
+        known: Intrinsics by a board, of pictures as they are stored.
+        masks: Folder of masks, and the sweep itself (a film or a folder of photos), whose files they are called by.
+    """
+
+    ingest: Path
+    frames: CameraFrames
+    known: Intrinsics | None = None
+    masks: tuple[Path, Path] | None = None
+
+
 def recover_sweep(
-    ingest: Path,
-    sweep: CameraFrames,
-    out: Path,
-    config: StaticPosesConfig,
-    scene_dir: Path,
-    source: Path,
-    known: Intrinsics | None = None,
-    progress: Progress = no_progress,
-    options: SweepOptions | None = None,
+    swept: Swept, out: Path, options: SweepOptions, progress: Progress = no_progress
 ) -> tuple[SweepModel, list[str]]:
     """Structure from motion of the pictures that ingest left, with all that their tags say.
 
     Args:
-        ingest: The ingest folder.
-        sweep: Its entry of the sweep.
+        swept: The pictures.
         out: Where `recover_static_poses` writes.
-        config: Keys of `calibration.static_poses`.
-        scene_dir: What paths of the configuration are relative to.
-        source: The sweep itself, a film or a folder of photos.
-        known: Intrinsics by a board, of pictures as they are stored.
+        options: Threads, size of pictures and time that it may use.
         progress: Told how far it is.
-        options: Threads, size of pictures and time that it may use; None: all there are, as the configuration has it.
     Returns:
         The model, and the pictures that have no mask where masks are given.
     """
+    ingest, sweep = swept.ingest, swept.frames
     used = {f.file.removeprefix("frames/"): f for f in sweep.used if f.file is not None}
     sizes = {name: _size(ingest / "frames" / name) for name in used}
     exif = {name: frame.exif for name, frame in used.items() if frame.exif is not None}
@@ -93,20 +94,20 @@ def recover_sweep(
     turns = {n: sweep.upright if film else by_exif(f.orientation or 1) for n, f in used.items()}
     with tempfile.TemporaryDirectory(dir=out, prefix="masks-") as masks:
         without = []
-        if config.masks is not None:
+        if swept.masks is not None:
+            folder, source = swept.masks
             photos = [] if film else [photo.name for photo in list_pictures(source)]
             called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
             re_turned = {n: frame.re_turned for n, frame in used.items()}
-            folder = SceneConfig.path(scene_dir, config.masks)
-            count = len(sweep.frames) if film else None
+            count = len(swept.frames.frames) if film else None
             without = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
         model = recover_static_poses(
             ingest / "frames",
-            device_groups(sizes, exif, known, sweep.pixel_aspect, turns),
+            device_groups(sizes, exif, swept.known, sweep.pixel_aspect, turns),
             out,
-            options=options or SweepOptions(config.mapper),
+            options=options,
             ordered=film,
-            masks=None if config.masks is None else Path(masks),
+            masks=None if swept.masks is None else Path(masks),
             places={name: tags.place for name, tags in exif.items()},
             progress=progress,
         )

@@ -67,11 +67,6 @@ class Talk:
         if self.loudness == "verbose":
             self.out.print(text, markup=False, style="dim")
 
-    def decision(self, stage: str, text: str) -> None:
-        """One line that stays about what a stage decided and why."""
-        self.event("decision", stage=stage, text=text.strip())
-        self.say(text)
-
     def event(self, event: str, **fields: Any) -> None:
         """One event for programs."""
         if self.events is not None:

@@ -7,7 +7,6 @@ import logging
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import rich
@@ -25,12 +24,12 @@ from devrf.pipelines.viewer.run_status import standing
 from devrf.pipelines.viewer.scene_widgets import furnish
 from devrf.pipelines.viewer.source import Found, Loaded, load, look
 from devrf.pipelines.viewer.views import first_camera, follow, look_through, middle, seen_by
+from devrf.pipelines.viewer.visitors import Visitors
 from devrf.reconstruct.rendering.model import DynamicModel, render_layers
 
 LOOK_EVERY_S = 1.0  # at the run folder
 IDLE_S = 1.0  # longest wait for something to paint
 ENDING_S = 1.0  # for a part of a picture
-LEAD_S = 1.0  # for which a page that was moved has the view: the others say where they are with some delay
 FASTEST_S = 1 / 30  # between two pictures while time runs
 MOST_PIXELS = {"cpu": 1280 * 720, "cuda": 1920 * 1080}  # of a picture that is finished
 QUALITY_MOVING, QUALITY = 75, 92  # of JPEG
@@ -52,7 +51,7 @@ class Site:
         at: Where pages are served.
     Attributes:
         loaded: What is shown.
-        leader: The visitor whose page was moved last; None where there is none.
+        visitors: Whose pages it shows.
     """
 
     def __init__(self, config: SceneConfig, run_dir: Path, device: str, at: Address) -> None:
@@ -60,8 +59,7 @@ class Site:
             torch.set_num_threads(1)  # several wait longer than they work; kernels take all cores
         self._config, self._run_dir, self._device = config, run_dir, device
         self._wanted, self._closed = threading.Event(), threading.Event()
-        self.leader: viser.ClientHandle | None = None
-        self._led = self._looked = 0.0  # when the leader's page was moved, and the run folder looked at
+        self._looked = 0.0  # when it was looked at the run folder
         self._wish, self._painted = 1, 0  # pictures asked for; the last that was painted
         self._budget, self._pixels, self._whole = FIRST, 0.0, True  # of it
         self._some: tuple[DynamicModel, str, DynamicModel] | None = None  # of which model, what, and that
@@ -74,6 +72,7 @@ class Site:
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
         with only_own_pages([at.host, *at.names]):
             self.server = viser.ViserServer(host=at.host, port=at.port, label=config.name, verbose=False)
+        self.visitors = Visitors(self.server)
         self.server.gui.configure_theme(show_logo=False, show_share_button=False)
         self.server.gui.main_panel.dock_right()
         self._controls = Controls(self.server.gui, self._want, self._go_home)
@@ -104,24 +103,13 @@ class Site:
     def look_through(self, camera: Camera) -> None:
         """Let all pages show what a camera sees."""
         if (scene := self.loaded.scene) is not None:
-            self._turn(self.server.get_clients().values(), lambda page: look_through(page, camera, scene))
+            self.visitors.turn(
+                self.server.get_clients().values(), lambda page: look_through(page, camera, scene)
+            )
 
     def _go_home(self) -> None:
         if self.loaded.scene is not None:
             self.look_through(first_camera(self.loaded.scene))
-
-    def _turn(self, pages: Iterable[viser.ClientHandle], turn: Callable[[viser.CameraHandle], None]) -> None:
-        """Turn pages in the server's event loop, where their messages are read.
-
-        What is set of a page depends on what was set before: nothing that it says of itself may come between.
-        """
-
-        def turned() -> None:
-            for page in pages:
-                with page.atomic():
-                    turn(page.camera)
-
-        self.server.get_event_loop().call_soon_threadsafe(turned)
 
     def _want(self) -> None:
         for name, group in self._groups.items():
@@ -130,37 +118,25 @@ class Site:
         self._wanted.set()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        leader = self._leading()
+        leader = self.visitors.leading()
         if leader is None or leader is client:
             self._go_home()
         else:
-            self._turn([client], lambda page: follow(page, leader.camera))
+            self.visitors.turn([client], lambda page: follow(page, leader.camera))
         client.camera.on_update(lambda camera: self._moved(client))
         self._looked = 0.0  # the new one waits to be told
         self._want()
 
     def _moved(self, client: viser.ClientHandle) -> None:
         """Others follow the page that is moved; what they say of themselves meanwhile moves nobody."""
-        now = time.monotonic()
-        if self._leading() is not client and now - self._led < LEAD_S:
-            return
-        self.leader, self._led = client, now
-        others = [page for page in self.server.get_clients().values() if page is not client]
-        self._turn(others, lambda page: follow(page, client.camera))
-        self._want()
-
-    def _leading(self) -> viser.ClientHandle | None:
-        """Who has the view: if that visitor has left, another."""
-        clients = self.server.get_clients()
-        if self.leader is None or self.leader.client_id not in clients:
-            self.leader = next(iter(clients.values()), None)
-        return self.leader
+        if self.visitors.lead(client):
+            self._want()
 
     def _work(self) -> None:
         while not self._closed.is_set():
             self._wanted.clear()
             self._look()
-            leader, model = self._leading(), self.loaded.model
+            leader, model = self.visitors.leading(), self.loaded.model
             if leader is None or model is None or (self._whole and self._wish == self._painted):
                 self._wanted.wait(IDLE_S)
                 continue

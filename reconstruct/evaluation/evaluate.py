@@ -13,7 +13,7 @@ its pictures in even places, and scored on those in odd places.
 
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -69,16 +69,34 @@ class LpipsNets:
         return LpipsNets(nets, why)
 
 
+@dataclass(frozen=True)
+class Known:
+    """What is known beside the scene and the model.
+
+    Attributes:
+        masks: What moves in truth in a camera's pictures, by their numbers in its file, of any size.
+        unshaded: The model without its shading; None: it has none.
+        test_clocks: Of test cameras whose clocks are not known `offset_s`, seconds by which their pictures were taken
+            later than the scene says, found on those in even places, or None and `why`.
+        absent: Why the scene in motion has no test views, where it has none.
+    """
+
+    masks: Mapping[str, Bool[np.ndarray, "frames h w"]] = field(default_factory=dict)
+    unshaded: Render | None = None
+    test_clocks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    absent: str = NO_TEST_CAMERA
+
+
+NOTHING_KNOWN = Known()
+
+
 def evaluate(
     scene: Scene,
     render: Render,
     lpips: LpipsNets,
     out: Path,
     progress: Progress = no_progress,
-    masks: Mapping[str, Bool[np.ndarray, "frames h w"]] | None = None,
-    unshaded: Render | None = None,
-    test_clocks: Mapping[str, Mapping[str, Any]] | None = None,
-    absent: str = NO_TEST_CAMERA,
+    known: Known = NOTHING_KNOWN,
 ) -> dict[str, Any]:
     """Render and score all test pictures; see the module's text for the blocks of the result.
 
@@ -88,11 +106,7 @@ def evaluate(
         lpips: Networks for LPIPS.
         out: Folder to write `views/<camera>/<index>_{true,rendered,rest,error}.png` into.
         progress: Told how far it is.
-        masks: What moves in truth in a camera's pictures, by their numbers in its file, of any size.
-        unshaded: The model without its shading; None: it has none.
-        test_clocks: Of test cameras whose clocks are not known `offset_s`, seconds by which their pictures were taken
-            later than the scene says, found on those in even places, or None and `why`.
-        absent: Why the scene in motion has no test views, where it has none.
+        known: Beside the scene and the model.
     Returns:
         `test`, `test_static`, `test_moving`, `test_rest`, `static_baseline`, `shading`, `per_view`, `still_pictures`,
         `render_fps`; with `test_clocks` also `test_moving_retimed`.
@@ -102,17 +116,16 @@ def evaluate(
         (f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.camera_name, f.time or 0.0, f.index)
     )
     still = [f for f in scene.static if f.split == "test"]
-    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), unshaded)
+    session = _Session(scene, render, lpips, out, progress, len(moving) + len(still), known.unshaded)
     names = sorted({f.camera_name for f in moving})
     standing = {name: still_picture(scene, [f for f in moving if f.camera_name == name]) for name in names}
-    masks = masks or {}
     extra = spread(range(len(moving)), EXTRA_PICTURES)
-    times = _retimed(scene, moving, test_clocks or {})
+    times = _retimed(scene, moving, known.test_clocks)
     views = [
         session.moving_view(
             f,
             standing[f.camera_name],
-            masks.get(f.camera_name),
+            known.masks.get(f.camera_name),
             n in extra,
             times.get((f.camera_name, f.index)),
         )
@@ -125,6 +138,7 @@ def evaluate(
     still_views = [session.still_view(f, n in extra) for n, f in enumerate(still)]
 
     nothing_held_out = "no sweep picture is held out"
+    absent = known.absent
     test_static = _block([v["scores"] for v in still_views], lpips, nothing_held_out)
     if scene.dynamic:
         test = _block([v["scores"] for v in views], lpips, absent)
@@ -137,7 +151,7 @@ def evaluate(
     no_pixels = (
         absent if not moving else NO_STILL if not (later or at_rest) else "nothing moves in the test views"
     )
-    retimed, retimed_baseline = _retimed_blocks(views, lpips, test_clocks or {}, no_pixels)
+    retimed, retimed_baseline = _retimed_blocks(views, lpips, known.test_clocks, no_pixels)
     return {
         "test": test,
         "test_static": test_static,
@@ -159,24 +173,20 @@ def evaluate(
     }
 
 
+@dataclass
 class _Session:
     """Renders and scores one view after the other; keeps the last picture at rest of a camera that stands."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        render: Render,
-        lpips: LpipsNets,
-        out: Path,
-        progress: Progress,
-        count: int,
-        unshaded: Render | None,
-    ) -> None:
-        self.scene, self.render, self.lpips, self.out = scene, render, lpips, out
-        self.progress, self.count, self.done = progress, count, 0
-        self.unshaded = unshaded
-        self.seconds: list[float] = []
-        self.rest: tuple[tuple[object, ...], np.ndarray] | None = None
+    scene: Scene
+    render: Render
+    lpips: LpipsNets
+    out: Path
+    progress: Progress
+    count: int
+    unshaded: Render | None
+    done: int = 0
+    seconds: list[float] = field(default_factory=list)
+    rest: tuple[tuple[object, ...], np.ndarray] | None = None
 
     def moving_view(
         self,

@@ -7,6 +7,7 @@ from the density as it is; nothing is ever removed for good.
 
 import copy
 import math
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -18,6 +19,7 @@ from devrf.reconstruct.fields.ndc import Ndc
 from devrf.reconstruct.kernels.march import Volume
 from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.kernels.trilinear import trilinear
+from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions
 
 NUMBERS = ("base_voxel", "stepsize", "shift", "alpha_threshold", "weight_threshold")  # of a `Canonical`
 VIEW_FREQUENCIES = 4  # sin and cos at 2^0 .. 2^3 of each component
@@ -83,6 +85,7 @@ def encode(d: Float[Tensor, "R 3"], frequencies: int) -> Float[Tensor, "R C"]:
     return torch.cat([d, multiples.sin(), multiples.cos()], dim=-1)
 
 
+@dataclass(eq=False, repr=False)
 class Canonical:
     """Density, features, MLP and occupancy of the scene at rest.
 
@@ -91,81 +94,31 @@ class Canonical:
         density: Raw density [X, Y, Z, 1].
         features: Colour features [X, Y, Z, C].
         net: The MLP.
-        distance: Vertices to the nearest occupied vertex [X, Y, Z].
         base_voxel: Voxel of the final resolution; densities are per this length.
+        stepsize: Step along rays, in voxels.
+        shift: b, by which a raw density of 0 is translucent.
+        alpha_threshold, weight_threshold: Samples at or below are dropped.
         deferred: Colours are found per ray, from the mean of its samples' features, instead of per sample.
         ndc: Where given, the grids fill a frustum (multi-plane images, as DirectVoxGO has them) instead of a box:
             positions are normalised device coordinates, z of the grids counts planes, and steps go along z.
+        distance: Vertices to the nearest occupied vertex [X, Y, Z].
     """
 
-    def __init__(
-        self,
-        aabb: Float[Tensor, "2 3"],
-        density: Float[Tensor, "X Y Z 1"],
-        features: Float[Tensor, "X Y Z C"],
-        net: ColourNet | PlainColour,
-        *,
-        base_voxel: float,
-        stepsize: float,
-        shift: float,
-        alpha_threshold: float,
-        weight_threshold: float,
-        deferred: bool = False,
-        ndc: Ndc | None = None,
-    ) -> None:
-        self.aabb, self.ndc = aabb.cpu().float(), ndc
-        self.density, self.features, self.net, self.deferred = density, features, net, deferred
-        self.base_voxel, self.stepsize, self.shift = base_voxel, stepsize, shift
-        self.alpha_threshold, self.weight_threshold = alpha_threshold, weight_threshold
-        self.distance = distance(torch.ones(self.shape, dtype=torch.bool, device=density.device))
+    aabb: Float[Tensor, "2 3"]
+    density: Float[Tensor, "X Y Z 1"]
+    features: Float[Tensor, "X Y Z C"]
+    net: ColourNet | PlainColour
+    base_voxel: float
+    stepsize: float
+    shift: float
+    alpha_threshold: float
+    weight_threshold: float
+    deferred: bool = False
+    ndc: Ndc | None = None
 
-    @staticmethod
-    def new(
-        aabb: Float[Tensor, "2 3"],
-        resolution: float | int,
-        final_resolution: float | int,
-        *,
-        channels: int,
-        mlp_width: int,
-        stepsize: float,
-        alpha_init: float,
-        alpha_threshold: float,
-        weight_threshold: float,
-        device: str,
-        seed: int,
-        deferred: bool = False,
-        planes: int | None = None,
-        ndc: Ndc | None = None,
-    ) -> "Canonical":
-        """A model that knows nothing yet: equally translucent everywhere, or its planes equally likely to stop a ray.
-
-        Without hidden layers (`mlp_width` 0) features are colours.
-        """
-        shape = grid_shape(aabb, resolution, planes)
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            net = PlainColour()
-            if mlp_width:
-                net = ColourNet(channels, mlp_width, VIEW_FREQUENCIES if ndc is None else 0).to(device)
-        depth = float(aabb[1, 2] - aabb[0, 2])
-        model = Canonical(
-            aabb,
-            torch.zeros(*shape, 1, device=device),
-            torch.zeros(*shape, channels, device=device),
-            net,
-            base_voxel=voxel_size(aabb, grid_shape(aabb, final_resolution))
-            if ndc is None
-            else depth / PUBLISHED_PLANES,
-            stepsize=stepsize,
-            shift=shift_for(alpha_init) if ndc is None else 0.0,
-            alpha_threshold=alpha_threshold,
-            weight_threshold=weight_threshold,
-            deferred=deferred,
-            ndc=ndc,
-        )
-        if ndc is not None:
-            model.density += even_planes(shape[2]).to(device)[:, None]
-        return model
+    def __post_init__(self) -> None:
+        self.aabb = self.aabb.cpu().float()
+        self.distance = distance(torch.ones(self.shape, dtype=torch.bool, device=self.density.device))
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -195,10 +148,6 @@ class Canonical:
         """The same in base voxels: the exponent of the opacity."""
         return self.step / self.base_voxel
 
-    def raw_density(self, optical: float) -> float:
-        """The raw density by which a step has an optical depth."""
-        return math.log(math.expm1(optical / self.interval)) - self.shift
-
     def volume(self) -> Volume:
         """What the march needs to know."""
         return Volume(
@@ -219,28 +168,11 @@ class Canonical:
         raw = trilinear(self.density, x, self.aabb, density_grad)[:, 0]
         return 1 - torch.exp(-self.interval * F.softplus(raw + self.shift))
 
-    def colour(
-        self,
-        x: Float[Tensor, "S 3"],
-        rays_d: Float[Tensor, "R 3"],
-        ray_id: Int[Tensor, " S"],
-        features_grad: Float[Tensor, "X Y Z C"] | None = None,
-    ) -> Float[Tensor, "S 3"]:
-        """Colour at points on rays."""
-        return self.net(self.features_at(x, features_grad), rays_d, ray_id)
-
     def features_at(
         self, x: Float[Tensor, "S 3"], features_grad: Float[Tensor, "X Y Z C"] | None = None
     ) -> Float[Tensor, "S C"]:
         """Colour features at points in the box."""
         return trilinear(self.features, x, self.aabb, features_grad)
-
-    def seen_with(self, stepsize: float, alpha_threshold: float, weight_threshold: float) -> "Canonical":
-        """The same scene, not copied, looked at in other steps and with other thresholds."""
-        other = copy.copy(self)
-        other.stepsize = stepsize
-        other.alpha_threshold, other.weight_threshold = alpha_threshold, weight_threshold
-        return other
 
     def only(self, kept: Bool[Tensor, "X Y Z"]) -> "Canonical":
         """The same scene with some vertices alone, empty elsewhere; its colours are not copied."""
@@ -249,14 +181,9 @@ class Canonical:
         other.rebuild_occupancy()
         return other
 
-    def occupied(self) -> Bool[Tensor, "X Y Z"]:
-        """Vertices next to which a sample can be opaque enough to count."""
-        alpha = 1 - torch.exp(-self.interval * F.softplus(self.density[..., 0] + self.shift))
-        return grown(alpha > self.alpha_threshold)
-
     def rebuild_occupancy(self, within: Bool[Tensor, "X Y Z"] | None = None) -> Bool[Tensor, "X Y Z"]:
         """Look again at what is empty; returns the vertices that samples can touch."""
-        occupied = self.occupied()
+        occupied = occupied_in(self)
         if within is not None:
             occupied &= within
         self.distance = distance(occupied)
@@ -266,7 +193,65 @@ class Canonical:
         """Vertices that samples can touch."""
         return grown(self.distance == 0)
 
-    def refine(self, resolution: float | int) -> None:
-        """Interpolate both grids onto more vertices; `rebuild_occupancy` has to follow."""
-        shape = grid_shape(self.aabb, resolution, None if self.ndc is None else self.shape[2])
-        self.density, self.features = upsample(self.density, shape), upsample(self.features, shape)
+
+def new_canonical(
+    aabb: Float[Tensor, "2 3"],
+    resolution: float | int,
+    options: CanonicalOptions,
+    alpha_init: float,
+    device: str,
+    ndc: Ndc | None = None,
+) -> Canonical:
+    """A model that knows nothing yet: equally translucent everywhere, or its planes equally likely to stop a ray.
+
+    Without hidden layers (`options.mlp_width` 0) features are colours.
+    """
+    shape = grid_shape(aabb, resolution, None if ndc is None else options.planes)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(options.seed)
+        net = PlainColour()
+        if options.mlp_width:
+            frequencies = VIEW_FREQUENCIES if ndc is None else 0
+            net = ColourNet(options.channels, options.mlp_width, frequencies).to(device)
+    if ndc is None:
+        base_voxel, shift = voxel_size(aabb, grid_shape(aabb, options.resolution)), shift_for(alpha_init)
+    else:
+        base_voxel, shift = float(aabb[1, 2] - aabb[0, 2]) / PUBLISHED_PLANES, 0.0
+    density, features = (torch.zeros(*shape, n, device=device) for n in (1, options.channels))
+    thresholds = options.alpha_threshold, options.weight_threshold
+    model = Canonical(
+        aabb, density, features, net, base_voxel, STEP_AT_REST, shift, *thresholds, options.deferred, ndc
+    )
+    if ndc is not None:
+        model.density += even_planes(shape[2]).to(device)[:, None]
+    return model
+
+
+def refine(canonical: Canonical, resolution: float | int) -> None:
+    """Interpolate both grids onto more vertices; `rebuild_occupancy` has to follow."""
+    shape = grid_shape(canonical.aabb, resolution, None if canonical.ndc is None else canonical.shape[2])
+    canonical.density, canonical.features = (
+        upsample(canonical.density, shape),
+        upsample(canonical.features, shape),
+    )
+
+
+def occupied_in(canonical: Canonical) -> Bool[Tensor, "X Y Z"]:
+    """Vertices next to which a sample can be opaque enough to count."""
+    alpha = 1 - torch.exp(-canonical.interval * F.softplus(canonical.density[..., 0] + canonical.shift))
+    return grown(alpha > canonical.alpha_threshold)
+
+
+def raw_density(canonical: Canonical, optical: float) -> float:
+    """The raw density by which a step has an optical depth."""
+    return math.log(math.expm1(optical / canonical.interval)) - canonical.shift
+
+
+def seen_with(
+    canonical: Canonical, stepsize: float, alpha_threshold: float, weight_threshold: float
+) -> Canonical:
+    """The same scene, not copied, looked at in other steps and with other thresholds."""
+    other = copy.copy(canonical)
+    other.stepsize = stepsize
+    other.alpha_threshold, other.weight_threshold = alpha_threshold, weight_threshold
+    return other

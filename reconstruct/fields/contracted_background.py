@@ -6,6 +6,8 @@ instead. Trained together with the scene at rest, then frozen. The inside of the
 stays empty here.
 """
 
+from dataclasses import dataclass, field
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
@@ -26,54 +28,44 @@ ALPHA_THRESHOLD = 1e-2  # below, a vertex counts as empty
 ALPHA_THRESHOLD_INSIDE = 1e-3  # while nothing is known, everything is
 
 
+def grey(size: int, device: str = "cpu") -> Float[Tensor, "N N N 4"]:
+    """A grid of translucent grey surroundings."""
+    return torch.zeros(size, size, size, 4, device=device)
+
+
+@dataclass(eq=False, repr=False)
 class Shell:
     """Surroundings.
 
     Attributes:
         aabb: The box in the middle [2, 3], on the CPU.
         grid: Raw density and colour [N, N, N, 4].
-        distance: Vertices to the nearest occupied vertex [N, N, N].
         final: N at the end of training; densities are per voxel of that size.
         near: Where rays start.
         reach: Half sizes of the box that the grid holds; what is farther lies on its faces, where rays end.
         inside: The box's inside is modelled here, too (for a first, coarse model of everything).
         points: Points of the scene, by which cameras have near planes of their own (`near_plane.py`); on the CPU.
+        distance: Vertices to the nearest occupied vertex [N, N, N].
     """
 
-    def __init__(
-        self,
-        aabb: Float[Tensor, "2 3"],
-        grid: Float[Tensor, "N N N 4"],
-        *,
-        final: int,
-        near: float,
-        reach: float = REACH,
-        inside: bool = False,
-        points: Float[Tensor, "n 3"] | None = None,
-    ) -> None:
-        self.aabb, self.grid, self.final = aabb.cpu().float(), grid, final
-        self.near, self.reach, self.inside = near, reach, inside
-        self.points = torch.zeros(0, 3) if points is None else points.cpu().float()
-        self.distance = torch.zeros(grid.shape[:3], dtype=torch.uint8, device=grid.device)
+    aabb: Float[Tensor, "2 3"]
+    grid: Float[Tensor, "N N N 4"]
+    final: int
+    near: float
+    reach: float = REACH
+    inside: bool = False
+    points: Float[Tensor, "n 3"] = field(default_factory=lambda: torch.zeros(0, 3))
 
-    @staticmethod
-    def new(
-        aabb: Float[Tensor, "2 3"],
-        size: int,
-        final: int,
-        *,
-        near: float,
-        reach: float = REACH,
-        device: str,
-        inside: bool = False,
-        points: Float[Tensor, "n 3"] | None = None,
-    ) -> "Shell":
-        """Translucent grey surroundings, empty in the box unless `inside`."""
-        grid = torch.zeros(size, size, size, 4, device=device)
-        shell = Shell(aabb, grid, final=final, near=near, reach=reach, inside=inside, points=points)
-        shell.clear_inside()
-        shell.rebuild_occupancy()
-        return shell
+    def __post_init__(self) -> None:
+        self.aabb = self.aabb.cpu().float()
+        self.points = self.points.cpu().float()
+        self.distance = torch.zeros(self.grid.shape[:3], dtype=torch.uint8, device=self.grid.device)
+
+    def begun(self) -> "Shell":
+        """The same, empty in the box unless `inside`; of a `grey` grid nothing is known yet."""
+        self.clear_inside()
+        self.rebuild_occupancy()
+        return self
 
     @property
     def size(self) -> int:

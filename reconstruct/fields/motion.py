@@ -49,16 +49,14 @@ class MotionField:
         aabb: Float[Tensor, "2 3"],
         keys: int,
         resolution: float | int,
-        *,
-        t_first: float,
-        t_last: float,
+        ends: tuple[float, float],
         rest_key: int | None,
         device: str,
     ) -> "MotionField":
-        """Fields in which nothing moves."""
+        """Fields in which nothing moves, from their first to their last key time."""
         shape = grid_shape(aabb, resolution)
         zero = torch.zeros(keys, *shape, 3, device=store_for(keys, shape, device))
-        return MotionField(aabb, zero, zero.clone(), t_first, t_last, rest_key)
+        return MotionField(aabb, zero, zero.clone(), *ends, rest_key)
 
     @property
     def keys(self) -> int:

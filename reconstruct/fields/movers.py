@@ -6,7 +6,7 @@ blends across parts. Where two parts meet, both hold the voxels next to the bord
 turns and goes; a soft one stretches, too. How rays see all of it is in `rendering/layered.py`.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -19,7 +19,6 @@ from torch import Tensor
 
 from devrf.reconstruct.fields.canonical import EMPTY, Canonical
 from devrf.reconstruct.fields.grids import grown, vertices
-from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.fields.shading import Shading
 from devrf.reconstruct.kernels.layers import Packed, Turned
 from devrf.reconstruct.kernels.march import Volume
@@ -55,6 +54,11 @@ class Placed(NamedTuple):
             return self.rotations.mT
         inverses = torch.linalg.inv_ex(self.stretches)[0]  # not checked: a GPU would wait for that
         return inverses @ self.rotations.mT
+
+    def carried(self, x_rest: Float[Tensor, "n 3"], part: Int[Tensor, " n"]) -> Float[Tensor, "n 3"]:
+        """Where resting points of parts are in the first picture; those of part 0 stand."""
+        forth, t = self.forth[0, part - 1], self.shifts[0, part - 1]
+        return torch.where((part > 0)[:, None], torch.einsum("nij,nj->ni", forth, x_rest) + t, x_rest)
 
     def turned(self, frame: Int[Tensor, " R"]) -> Turned:
         """How rays of these pictures are taken back to rest."""
@@ -106,21 +110,11 @@ class Movers:
         own, labels = self.canonical.only(kept), torch.where(kept, self.labels, 0)
         return Movers(own, labels, self.times, self.rotations, self.shifts, self.shading, self.stretches)
 
-    def still(self) -> "Movers":
-        """The same if nothing moved, in the same light."""
-        turns = torch.eye(3).expand_as(self.rotations).contiguous()
-        return replace(self, rotations=turns, shifts=torch.zeros_like(self.shifts), stretches=None)
-
     def at_rest(self, time: Float[Tensor, "1"]) -> Placed:
         """Where nothing has moved, in the light of a time."""
         device = self.canonical.density.device
         turn = torch.eye(3, device=device).expand(1, self.parts, 3, 3)
         return Placed(turn, torch.zeros(1, self.parts, 3, device=device), time.to(device))
-
-    def at_moments(self, device: torch.device) -> Placed:
-        """Where the parts are at the moments of the motion."""
-        stretches = None if self.stretches is None else self.stretches.to(device)
-        return Placed(self.rotations.to(device), self.shifts.to(device), self.times.to(device), stretches)
 
     def middles(self) -> Float[np.ndarray, "M 3"]:
         """Of the parts at rest."""
@@ -160,105 +154,16 @@ class Movers:
             None if self.stretches is None else torch.from_numpy(stretches).float().to(device),
         )
 
-    def to_rest(
-        self, x: Float[Tensor, "n 3"], placed: Placed, within: int = 1
-    ) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
-        """Where points seen in the first picture of `placed` rest, and their part; 0: none is so near, they stand.
-
-        Args:
-            x: Points.
-            placed: Where the parts are.
-            within: Voxels from a part in which points are taken for its own.
-        """
-        back = placed.back[0]
-        return self._nearest(within, x, lambda m: (x - placed.shifts[0, m]) @ back[m].mT)
-
-    def part_of(self, x_rest: Float[Tensor, "n 3"], within: int = 1) -> Int[Tensor, " n"]:
-        """The part of resting points."""
-        return self._nearest(within, x_rest, lambda m: x_rest)[1]
-
-    def carried(
-        self, x_rest: Float[Tensor, "n 3"], part: Int[Tensor, " n"], placed: Placed
-    ) -> Float[Tensor, "n 3"]:
-        """Where resting points of parts are in the first picture of `placed`; those of part 0 stand."""
-        forth, t = placed.forth[0, part - 1], placed.shifts[0, part - 1]
-        return torch.where((part > 0)[:, None], torch.einsum("nij,nj->ni", forth, x_rest) + t, x_rest)
-
-    def motion(self, keys: int, rest_time: float, resolution: float) -> MotionField:
-        """The same motion as fields: exact at vertices on a part or next to one, none elsewhere.
-
-        Args:
-            keys: Number of key times.
-            rest_time: In [0, 1]; the key nearest to it counts as that of rest, however far parts have moved by then.
-            resolution: As `MotionField.still`.
-        """
-        first, last = float(self.times[0]), float(self.times[-1])
-        rest_key = round((rest_time - first) / (last - first) * (keys - 1))
-        device = self.canonical.density.device
-        field = MotionField.still(
-            self.box(), keys, resolution, t_first=first, t_last=last, rest_key=rest_key, device=str(device)
-        )
-        shape = field.backward.shape[1:]
-        x = vertices(field.aabb, (shape[0], shape[1], shape[2])).reshape(-1, 3).to(device)
-        part = self.part_of(x, REACH - 1)
-        for key, time in enumerate(field.key_times):
-            placed = self.placed(torch.tensor([time]))
-            field.backward[key] = (self.to_rest(x, placed, REACH - 1)[0] - x).reshape(shape)
-            field.forward[key] = (self.carried(x, part, placed) - x).reshape(shape)
-        return field
-
-    def box(self) -> Float[Tensor, "2 3"]:
-        """The box of the scene at rest and all places at which parts ever are; on the CPU."""
-        places = vertices(self.canonical.aabb, self.canonical.shape)
-        corners = [self.canonical.aabb]
-        forth = self.rotations @ self.stretched()
-        for m in range(self.parts):
-            own = places[self.labels.cpu() == m + 1]
-            if len(own):
-                ends = torch.cartesian_prod(*torch.stack([own.amin(0), own.amax(0)], dim=1))
-                corners.append((ends @ forth[:, m].mT + self.shifts[:, m, None]).reshape(-1, 3))
-        every = torch.cat(corners)
-        return torch.stack([every.amin(0), every.amax(0)])
-
-    def _nearest(
-        self, within: int, x: Float[Tensor, "n 3"], rested: Callable[[int], Float[Tensor, "n 3"]]
-    ) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
-        """Points as the nearest part has them at rest, and the part; as they are, and 0, where none is near."""
-        out, part = x.clone(), torch.zeros(len(x), dtype=torch.int64, device=x.device)
-        least = torch.full((len(x),), within + 1, dtype=torch.uint8, device=x.device)
-        for m in range(self.parts):
-            x0 = rested(m)
-            away = self._away(m, x0)
-            nearer = away < least
-            least[nearer], out[nearer], part[nearer] = away[nearer], x0[nearer], m + 1
-        return out, part
-
-    def _away(self, part: int, x_rest: Float[Tensor, "n 3"]) -> UInt8[Tensor, " n"]:
-        """Voxels from resting points to a part, at most REACH."""
+    def distances(self) -> list[tuple[Int[Tensor, "3"], UInt8[Tensor, "A B C"]]]:
+        """Of each part, the voxels to it around it, and the first vertex of where they are known."""
         if self._distances is None:
-            self._distances = [self._distance(m + 1) for m in range(self.parts)]
-        first, away = self._distances[part]
-        lo, hi = self.canonical.aabb.to(x_rest)
-        last = torch.tensor(self.canonical.shape, device=x_rest.device) - 1
-        at = ((x_rest - lo) / (hi - lo) * last).round().long() - first
-        end = torch.tensor(away.shape, device=x_rest.device)
-        inside = ((at >= 0) & (at < end)).all(-1)
-        at = torch.where(inside[:, None], at, 0)
-        return torch.where(inside, away[tuple(at.unbind(-1))], REACH)
-
-    def _distance(self, part: int) -> tuple[Int[Tensor, "3"], UInt8[Tensor, "A B C"]]:
-        """Voxels to a part around it, and the first vertex of where they are known."""
-        own = self.labels == part
-        if not bool(own.any()):
-            nowhere = torch.full((1, 1, 1), REACH, dtype=torch.uint8, device=own.device)
-            return torch.zeros(3, dtype=torch.int64, device=own.device), nowhere
-        lo, _, cut = _around(own, REACH)
-        return lo, distance(own[cut].contiguous())
+            self._distances = [_distance(self.labels == m + 1) for m in range(self.parts)]
+        return self._distances
 
     def packed(self) -> Packed:
         """What the march needs to know of the parts: of each its own voxels and those next to them."""
         if self._packed is None:
-            found = {m: self._volume(m) for m in range(1, self.parts + 1)}
+            found = {m: _volume(self.canonical, self.labels == m) for m in range(1, self.parts + 1)}
             kept = {m: volume for m, volume in found.items() if volume is not None}
             self._packed = Packed.of(kept, self.labels.device)
         return self._packed
@@ -267,35 +172,35 @@ class Movers:
         """The density is another: `packed` is to be made anew."""
         self._packed = None
 
-    def _volume(self, part: int) -> Volume | None:
-        k = self.canonical
-        mine = self.labels == part
-        if not bool(mine.any()):
-            return None
-        lo, hi, cut = _around(mine, 2)  # it grows by one, and another one around it is empty
-        own = grown(mine[cut])
-        density = torch.where(own, k.density[cut][..., 0], EMPTY).contiguous()
-        alpha = 1 - torch.exp(-k.interval * F.softplus(density + k.shift))
-        occupied = grown(alpha > k.alpha_threshold) & own
-        low, high = k.aabb
-        step = (high - low) / (torch.tensor(k.shape) - 1)
-        box = low + torch.stack([lo, hi]).cpu() * step
-        return Volume(
-            density,
-            distance(occupied),
-            box,
-            k.shift,
-            k.interval,
-            k.step,
-            k.alpha_threshold,
-            k.weight_threshold,
-        )
-
 
 def symmetric(entries: Float[Tensor, "*batch 6"]) -> Float[Tensor, "*batch 3 3"]:
     """Symmetric matrices of their entries `UPPER`; differentiable."""
     xx, xy, xz, yy, yz, zz = entries.unbind(-1)
     return torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).unflatten(-1, (3, 3))
+
+
+def _distance(own: Bool[Tensor, "X Y Z"]) -> tuple[Int[Tensor, "3"], UInt8[Tensor, "A B C"]]:
+    """The first vertex of where the distance to some vertices is known, and these distances."""
+    if not bool(own.any()):
+        nowhere = torch.full((1, 1, 1), REACH, dtype=torch.uint8, device=own.device)
+        return torch.zeros(3, dtype=torch.int64, device=own.device), nowhere
+    lo, _, cut = _around(own, REACH)
+    return lo, distance(own[cut].contiguous())
+
+
+def _volume(canonical: Canonical, own: Bool[Tensor, "X Y Z"]) -> Volume | None:
+    """What the march needs to know of a part of the vertices; None where it is empty."""
+    if not bool(own.any()):
+        return None
+    lo, hi, cut = _around(own, 2)  # it grows by one, and another one around it is empty
+    mine = grown(own[cut])
+    density = torch.where(mine, canonical.density[cut][..., 0], EMPTY).contiguous()
+    alpha = 1 - torch.exp(-canonical.interval * F.softplus(density + canonical.shift))
+    occupied = grown(alpha > canonical.alpha_threshold) & mine
+    low, high = canonical.aabb
+    step = (high - low) / (torch.tensor(canonical.shape) - 1)
+    box = low + torch.stack([lo, hi]).cpu() * step
+    return replace(canonical.volume(), density=density, distance=distance(occupied), aabb=box)
 
 
 def _around(own: Bool[Tensor, "X Y Z"], margin: int) -> tuple[Tensor, Tensor, tuple[slice, ...]]:

@@ -47,7 +47,10 @@ class Corrections(torch.nn.Module):
     @torch.no_grad()
     def applied(self, movers: Movers) -> Movers:
         """The movers with the corrections at their moments."""
-        placed = self._corrected(movers.at_moments(self.values.device), self.values)
+        device, stretches = self.values.device, movers.stretches
+        moments = Placed(movers.rotations.to(device), movers.shifts.to(device), movers.times.to(device))
+        moments = moments._replace(stretches=stretches if stretches is None else stretches.to(device))
+        placed = self._corrected(moments, self.values)
         stretches = None if placed.stretches is None else placed.stretches.cpu()
         return replace(
             movers, rotations=placed.rotations.cpu(), shifts=placed.shifts.cpu(), stretches=stretches

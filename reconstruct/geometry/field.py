@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int
 from torch import Tensor
 
 from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.carried import part_of, to_rest
 from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.fields.movers import Movers, Placed
@@ -68,14 +69,14 @@ class Field:
         """Where points seen at this time rest (backward motion)."""
         if self.movers is not None:
             return self.layer(x)[0]
-        return x if self.motion is None else self.motion.to_rest(x, self._taus(x))
+        return x if self.motion is None else self.motion.to_rest(x, _taus(self, x))
 
     def from_rest(self, x_rest: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Where resting points are at this time (forward motion)."""
         if self.movers is not None:
             movers, placed = self.movers
-            return movers.carried(x_rest, movers.part_of(x_rest), placed)
-        return x_rest if self.motion is None else self.motion.from_rest(x_rest, self._taus(x_rest))
+            return placed.carried(x_rest, part_of(movers, x_rest))
+        return x_rest if self.motion is None else self.motion.from_rest(x_rest, _taus(self, x_rest))
 
     @torch.no_grad()
     def density(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -83,13 +84,9 @@ class Field:
         if self.movers is None:
             return _density(self.canonical, self.to_rest(x))
         movers, placed = self.movers
-        x0, part = movers.to_rest(x, placed)
+        x0, part = to_rest(movers, x, placed)
         moving = torch.where(part > 0, _density(movers.canonical, x0), 0.0)
         return _density(self.canonical, x) + moving
-
-    def opacity(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-        """How much of the light a layer of a voxel's thickness absorbs, in [0, 1]: 0.5 and more looks solid."""
-        return 1 - torch.exp(-self.voxel * self.density(x))
 
     @torch.no_grad()
     def features(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n c"]:
@@ -106,26 +103,6 @@ class Field:
         frame, away from the camera)."""
         return self.canonical.net(self.features(x), rays_d, torch.arange(len(x), device=x.device))
 
-    @torch.no_grad()
-    def brightness(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
-        """Factor on colours at points: the shading of movers at this time, one where there is none."""
-        if self.movers is None or self.movers[0].shading is None:
-            return torch.ones_like(x[:, :1])
-        (place, part), time = self.layer(x), self.movers[1].times.expand(len(x))
-        return self.movers[0].shading.at((part > 0).long(), place, time).exp()[:, None]
-
-    def colours_from_outside(
-        self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """RGB in [0, 1] of surface points in the box frame, each looked at against its outward unit normal."""
-        device, out = self.canonical.density.device, np.empty(points.shape)
-        for first in range(0, len(points), AT_ONCE):
-            part = slice(first, first + AT_ONCE)
-            x = torch.from_numpy(points[part].astype(np.float32)).to(device)
-            rays_d = torch.from_numpy(-normals[part].astype(np.float32)).to(device)
-            out[part] = self.colours(self.from_box(x), rays_d).cpu().numpy()
-        return out
-
     def to_box(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Points in the box frame."""
         return x if self.canonical.ndc is None else self.canonical.ndc.to_world(x)
@@ -134,35 +111,60 @@ class Field:
         """Points of the box frame in the coordinates of the grids; NDC: they lie before the reference camera."""
         return x if self.canonical.ndc is None else self.canonical.ndc.from_world(x)
 
-    def blocks(self, shape: tuple[int, int, int]) -> Iterator[tuple[slice, Float[Tensor, "n 3"]]]:
-        """The vertices of a grid over the box, some planes of its first axis at a time, with where those are."""
-        lines = vertices(self.aabb, (2, *shape[1:]))[0]  # of one plane; its x is put in below
-        xs = torch.linspace(float(self.aabb[0, 0]), float(self.aabb[1, 0]), shape[0])
-        planes = max(1, AT_ONCE // (shape[1] * shape[2]))
-        for first in range(0, shape[0], planes):
-            part = slice(first, min(first + planes, shape[0]))
-            x = lines.expand(part.stop - part.start, *lines.shape).clone()
-            x[..., 0] = xs[part, None, None]
-            yield part, x.reshape(-1, 3).to(self.canonical.density.device)
-
-    def opacity_grid(self, shape: tuple[int, int, int]) -> Float32[Tensor, "X Y Z"]:
-        """`opacity` at the vertices of a grid over the box, on the CPU."""
-        out = torch.empty(shape)
-        for part, x in self.blocks(shape):
-            out[part] = self.opacity(x).reshape(-1, *shape[1:]).cpu()
-        return out
-
     def layer(self, x: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
         """Where points rest, and the part of the movers that they are on; 0: on what stands."""
         assert self.movers is not None  # asked where there are some
         movers, placed = self.movers
-        x0, part = movers.to_rest(x, placed)
+        x0, part = to_rest(movers, x, placed)
         part = torch.where(_density(movers.canonical, x0) > _density(self.canonical, x), part, 0)
         return torch.where((part > 0)[:, None], x0, x), part
 
-    def _taus(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-        assert self.tau is not None
-        return self.tau.to(x).expand(len(x)).contiguous()
+
+def opacity(field: Field, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """How much of the light a layer of a voxel's thickness absorbs, in [0, 1]: 0.5 and more looks solid."""
+    return 1 - torch.exp(-field.voxel * field.density(x))
+
+
+@torch.no_grad()
+def brightness(field: Field, x: Float[Tensor, "n 3"]) -> Float[Tensor, "n 1"]:
+    """Factor on colours at points: the shading of movers at this time, one where there is none."""
+    if field.movers is None or field.movers[0].shading is None:
+        return torch.ones_like(x[:, :1])
+    (place, part), time = field.layer(x), field.movers[1].times.expand(len(x))
+    return field.movers[0].shading.at((part > 0).long(), place, time).exp()[:, None]
+
+
+def colours_from_outside(
+    field: Field, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """RGB in [0, 1] of surface points in the box frame, each looked at against its outward unit normal."""
+    device, out = field.canonical.density.device, np.empty(points.shape)
+    for first in range(0, len(points), AT_ONCE):
+        part = slice(first, first + AT_ONCE)
+        x = torch.from_numpy(points[part].astype(np.float32)).to(device)
+        rays_d = torch.from_numpy(-normals[part].astype(np.float32)).to(device)
+        out[part] = field.colours(field.from_box(x), rays_d).cpu().numpy()
+    return out
+
+
+def blocks(field: Field, shape: tuple[int, int, int]) -> Iterator[tuple[slice, Float[Tensor, "n 3"]]]:
+    """The vertices of a grid over the box, some planes of its first axis at a time, with where those are."""
+    lines = vertices(field.aabb, (2, *shape[1:]))[0]  # of one plane; its x is put in below
+    xs = torch.linspace(float(field.aabb[0, 0]), float(field.aabb[1, 0]), shape[0])
+    planes = max(1, AT_ONCE // (shape[1] * shape[2]))
+    for first in range(0, shape[0], planes):
+        part = slice(first, min(first + planes, shape[0]))
+        x = lines.expand(part.stop - part.start, *lines.shape).clone()
+        x[..., 0] = xs[part, None, None]
+        yield part, x.reshape(-1, 3).to(field.canonical.density.device)
+
+
+def opacity_grid(field: Field, shape: tuple[int, int, int]) -> Float32[Tensor, "X Y Z"]:
+    """`opacity` at the vertices of a grid over the box, on the CPU."""
+    out = torch.empty(shape)
+    for part, x in blocks(field, shape):
+        out[part] = opacity(field, x).reshape(-1, *shape[1:]).cpu()
+    return out
 
 
 def field_at(model: DynamicModel, time: float | None) -> Field:
@@ -192,7 +194,7 @@ def moved(
             return movers.at_rest(time) if moment is None else movers.placed(time)
 
         x_rest, part = Field(model.in_motion.canonical, movers=(movers, placed(time))).layer(x)
-        return movers.carried(x_rest, part, placed(then)).cpu().numpy().astype(np.float64)
+        return placed(then).carried(x_rest, part).cpu().numpy().astype(np.float64)
     now, other = field_at(model, time), field_at(model, then)
     x_rest = now.to_rest(now.from_box(x))
     return other.to_box(other.from_rest(x_rest)).cpu().numpy().astype(np.float64)
@@ -212,3 +214,8 @@ def _occupied(canonical: Canonical, x: Float[Tensor, "n 3"]) -> Bool[Tensor, " n
     inside = ((vertex >= 0) & (vertex <= last)).all(-1)
     near = torch.minimum((vertex + 0.5).floor().clamp(min=0), last.to(x)).long()
     return inside & (canonical.distance[tuple(near.unbind(-1))] == 0)
+
+
+def _taus(field: Field, x: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    assert field.tau is not None
+    return field.tau.to(x).expand(len(x)).contiguous()

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from devrf.capture.system.errors import ReconstructError
-from devrf.reconstruct.geometry.field import AT_ONCE, Field
+from devrf.reconstruct.geometry.field import AT_ONCE, Field, brightness, opacity_grid
 from devrf.reconstruct.geometry.seen import SeenView, colours_of
 from devrf.reconstruct.rendering.model import DynamicModel
 
@@ -50,7 +50,7 @@ def surface_of(field: Field, level: float, march: March) -> Surface:
     Raises:
         ReconstructError: Nothing is that opaque.
     """
-    grid = field.opacity_grid(field.shape).numpy()
+    grid = opacity_grid(field, field.shape).numpy()
     if not grid.max() > level > grid.min():
         raise _nothing(level, f"the model's opacity lies between {grid.min():.3g} and {grid.max():.3g} here")
     vertices, faces = march(grid, level)
@@ -83,7 +83,7 @@ def coloured(views: Sequence[SeenView], surface: Surface, field: Field) -> Float
     """
     vertices = rested(surface, field)
     rgb = colours_of(views, field.at_rest(), vertices, normals_of(vertices, surface.faces))
-    light = torch.cat([field.brightness(x) for x in surface.x.split(AT_ONCE)])
+    light = torch.cat([brightness(field, x) for x in surface.x.split(AT_ONCE)])
     return (rgb * light.cpu().numpy()).clip(max=1)
 
 

@@ -18,7 +18,7 @@ from devrf.capture.system.spread import spread
 from devrf.reconstruct.fields.canonical import EMPTY
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.geometry.camera_arc import fixed_cameras
-from devrf.reconstruct.geometry.field import Field
+from devrf.reconstruct.geometry.field import Field, colours_from_outside
 from devrf.reconstruct.rendering.model import DynamicModel, render_layers
 from devrf.reconstruct.rendering.rays import pixel_directions
 from devrf.reconstruct.sampling.pictures import training
@@ -112,7 +112,7 @@ def colours_of(
     shown = weights > 0
     colours = total / np.where(shown, weights, 1.0)[:, None]
     if not shown.all():
-        colours[~shown] = field.colours_from_outside(points[~shown], normals[~shown])
+        colours[~shown] = colours_from_outside(field, points[~shown], normals[~shown])
     return colours
 
 

@@ -12,6 +12,7 @@ from devrf.reconstruct.kernels.composite import accumulate, composite_weights
 from devrf.reconstruct.kernels.composite_layers import Drawn, Fields, composite_layers
 from devrf.reconstruct.kernels.launch import use_warp
 from devrf.reconstruct.kernels.layers import march_layers
+from devrf.reconstruct.rendering.rays import Rays
 from devrf.reconstruct.rendering.render import FAINT, Seen
 
 COUNTS = 1e-3  # weight from which a sample has a colour
@@ -39,11 +40,7 @@ def render_layered(
     stands: Canonical,
     movers: Movers,
     placed: Placed,
-    frame: Int[Tensor, " R"],
-    rays_o: Float[Tensor, "R 3"],
-    rays_d: Float[Tensor, "R 3"],
-    near: float,
-    jitter: Float[Tensor, " R"],
+    rays: Rays,
     grads: Fields | None = None,
     counts_from: float = COUNTS,
 ) -> Layered:
@@ -53,26 +50,25 @@ def render_layered(
         stands: What stands.
         movers: What moves.
         placed: Where it is, in some pictures.
-        frame: Picture of each ray, among those.
-        rays_o, rays_d: In the box frame.
-        near: Distance before which rays do not begin.
-        jitter: Of the first step, in steps.
+        rays: Each with its picture, among those.
         grads: Where the gradients of the grids are added.
         counts_from: Weight from which a sample has a colour.
     """
-    rays, turned = len(rays_o), placed.turned(frame)
+    rays_o, rays_d, near, jitter, frame = rays
+    assert frame is not None
     if stands.deferred and use_warp(rays_o.device):
         own, light = movers.canonical, movers.shading
         fields = Fields(stands.density, stands.features, own.density, own.features)
         drawn = composite_layers(
-            stands.volume(), movers.packed(), turned, fields, None if light is None else light.light(placed.times),
+            stands.volume(), movers.packed(), placed.turned(frame), fields,
+            None if light is None else light.light(placed.times),
             rays_o, rays_d, near, jitter, counts_from, grads,
         )  # fmt: skip
         none = frame.new_zeros(0)
         return Layered(_seen(stands, drawn, rays_d), drawn.left, drawn.depth, drawn.left[:0], None, none)
     into = grads or (None,) * 4
     ray_id, t, part, x, samples_d, offsets = march_layers(
-        stands.volume(), movers.packed(), turned, rays_o, rays_d, near, jitter
+        stands.volume(), movers.packed(), placed.turned(frame), rays_o, rays_d, near, jitter
     )
     if placed.rotations.requires_grad:
         x = _taken_back(x, part, placed, frame[ray_id], rays_o[ray_id] + t[:, None] * rays_d[ray_id])
@@ -81,7 +77,7 @@ def render_layered(
     alpha = alpha.index_put((moved,), movers.canonical.alpha(x[moved], into[2]))
     weights, left = composite_weights(alpha, offsets)
     with torch.no_grad():
-        depth = accumulate(weights, t[:, None], ray_id, rays)[:, 0]
+        depth = accumulate(weights, t[:, None], ray_id, len(rays_o))[:, 0]
     counts = (weights.detach() > counts_from).nonzero()[:, 0]
     x, ray_id, t, part, samples_d = (values[counts] for values in (x, ray_id, t, part, samples_d))
     weights = weights[counts]
@@ -100,26 +96,16 @@ def render_layered(
         colours = stands.net(features, samples_d, torch.arange(len(x), device=x.device))
         if light is not None:
             colours = colours * torch.exp(light)[:, None]
-        rgb = accumulate(weights, colours, ray_id, rays)
+        rgb = accumulate(weights, colours, ray_id, len(rays_o))
     return Layered(rgb, left, depth, weights, colours, ray_id)
 
 
 @torch.no_grad()
 def draw_layered(
-    stands: Canonical,
-    movers: Movers,
-    placed: Placed,
-    frame: Int[Tensor, " R"],
-    rays_o: Float[Tensor, "R 3"],
-    rays_d: Float[Tensor, "R 3"],
-    near: float,
-    jitter: Float[Tensor, " R"],
-    counts_from: float = COUNTS,
+    stands: Canonical, movers: Movers, placed: Placed, rays: Rays, counts_from: float = COUNTS
 ) -> Seen:
     """The same for pictures, without gradients."""
-    seen = render_layered(
-        stands, movers, placed, frame, rays_o, rays_d, near, jitter, counts_from=counts_from
-    )
+    seen = render_layered(stands, movers, placed, rays, counts_from=counts_from)
     return Seen(seen.rgb, seen.left, seen.depth)
 
 

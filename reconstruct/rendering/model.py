@@ -7,6 +7,7 @@ background). Surroundings do not move, so a camera that stands still needs them 
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,7 +16,9 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from devrf.capture.camera import Camera
+from devrf.reconstruct.fields.canonical import Canonical
 from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.carried import field_of
 from devrf.reconstruct.fields.grids import grid_shape, voxel_size
 from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.fields.movers import Movers, Placed
@@ -25,7 +28,7 @@ from devrf.reconstruct.kernels.occupancy import REACH, distance, moved_occupancy
 from devrf.reconstruct.kernels.quad import quad
 from devrf.reconstruct.options import CHUNK
 from devrf.reconstruct.rendering.layered import draw_layered
-from devrf.reconstruct.rendering.rays import camera_rays
+from devrf.reconstruct.rendering.rays import Rays, camera_rays
 from devrf.reconstruct.rendering.render import (
     Rendered,
     Seen,
@@ -116,15 +119,8 @@ class DynamicModel:
         rest: RestModel, stands: RestModel, movers: Movers, keys: int, rest_time: float
     ) -> "DynamicModel":
         """What stands and what moves, and its motion as fields of `keys` key times."""
-        motion = movers.motion(keys, rest_time, rest.canonical.resolution / FIELD_VOXELS)
+        motion = field_of(movers, keys, rest_time, rest.canonical.resolution / FIELD_VOXELS)
         return DynamicModel(rest, motion, stands, movers)
-
-    @property
-    def moments(self) -> list[float]:
-        """Times in [0, 1] at which the motion is stored: moments of movers, or key times; none where nothing moves."""
-        if self.movers is not None:
-            return self.movers.times.tolist()
-        return [] if self.motion is None else self.motion.key_times
 
     def alone(self, background: str) -> "DynamicModel":
         """What is in the box before a plain colour, without its surroundings; grids are not copied."""
@@ -156,8 +152,7 @@ class DynamicModel:
     def box_at_rest(self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"]) -> Rendered:
         """Colours of the box alone, before nothing, and what it lets through."""
         black, middle = torch.zeros(3, device=rays_o.device), rays_o.new_full((2, len(rays_o)), 0.5)
-        canonical = self.rest.canonical
-        return render_rest(canonical, None, black, rays_o, rays_d, near=self.rest.near, jitter=middle)
+        return render_rest(self.rest.canonical, black, Rays(rays_o, rays_d, self.rest.near, middle))
 
     def box_at(
         self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"], times: Float[Tensor, " R"]
@@ -176,8 +171,8 @@ class DynamicModel:
             moments, frame = times.unique(return_inverse=True)
             placed = self.movers.placed(moments)
             for part in torch.arange(len(times), device=times.device).split(self.chunk):
-                middle = torch.full_like(times[part], 0.5)
-                yield part, _layered(self, placed, frame[part], rays_o[part], rays_d[part], middle)
+                rays = Rays.middle(rays_o[part], rays_d[part], self.rest.near, frame[part])
+                yield part, _layered(self, placed, rays)
             return
         assert self.motion is not None  # asked of models with motion only
         motion, rest = self.motion, self.in_motion or self.rest
@@ -188,8 +183,9 @@ class DynamicModel:
             mine = (interval == first).nonzero()[:, 0]
             live = live_distance(rest, window, (tau[mine] - first).unique(), 1)
             for part in mine.split(self.chunk):
-                at, middle = (tau[part] - first).contiguous(), torch.full_like(tau[part], 0.5)
-                yield part, render_moved(rest, window, live, rays_o[part], rays_d[part], at, middle)
+                rays = Rays.middle(rays_o[part], rays_d[part], rest.near)
+                at = (tau[part] - first).contiguous()
+                yield part, render_moved(rest.canonical, window, live, rays, at)
 
     def around_camera(self, camera: Camera, between: Callable[[], object] = _nothing) -> Around:
         """Surroundings of all pixels of a camera, row by row; remembered. `between` as `render_layers`'."""
@@ -254,6 +250,13 @@ class DynamicModel:
         return Around(front, through, back)
 
 
+def moments_of(model: DynamicModel) -> list[float]:
+    """Times in [0, 1] at which a motion is stored: moments of movers, or key times; none where nothing moves."""
+    if model.movers is not None:
+        return model.movers.times.tolist()
+    return [] if model.motion is None else model.motion.key_times
+
+
 def live_distance(rest: RestModel, motion: MotionField, taus: Float[Tensor, " M"], reach: int) -> Tensor:
     """Distances to where the moving scene may be occupied at any of `taus`, over the motion's box.
 
@@ -271,30 +274,39 @@ def live_distance(rest: RestModel, motion: MotionField, taus: Float[Tensor, " M"
     return distance(occupied)
 
 
+class MovedGrads(NamedTuple):
+    """Buffers that gradients are added to.
+
+    Attributes:
+        keys: Of the backward motion, from `first_key` on.
+        density, features: Of the scene at rest.
+    """
+
+    keys: Float[Tensor, "K X Y Z 3"] | None = None
+    first_key: int = 0
+    density: Float[Tensor, "X Y Z 1"] | None = None
+    features: Float[Tensor, "X Y Z C"] | None = None
+
+
+NOT_TRAINED = MovedGrads()
+
+
 def render_moved(
-    rest: RestModel,
+    canonical: Canonical,
     motion: MotionField,
     live: Tensor,
-    rays_o: Float[Tensor, "R 3"],
-    rays_d: Float[Tensor, "R 3"],
+    rays: Rays,
     tau: Float[Tensor, " R"],
-    jitter: Float[Tensor, " R"],
-    keys_grad: Float[Tensor, "K X Y Z 3"] | None = None,
-    first_key: int = 0,
-    rest_grads: tuple[Tensor | None, Tensor | None] = (None, None),
+    grads: MovedGrads = NOT_TRAINED,
 ) -> Moved:
-    """March through the scene as it is at each ray's own time.
-
-    Differentiable in the backward motion's keys, or in the density and features at rest (`rest_grads`).
-    """
-    canonical = rest.canonical
-    segments = segments_in(motion.aabb, canonical.ndc, rays_o, rays_d, rest.near, jitter)
+    """March through the scene as it is at each ray's own time; differentiable in what `grads` has buffers of."""
+    segments = segments_in(motion.aabb, canonical.ndc, *rays[:4])
     samples = march(segments, canonical.volume(), Warp(motion.backward, tau.contiguous(), motion.aabb, live))
     x = points_on(segments, samples)
-    x0 = x + quad(motion.backward, x, tau[samples.ray_id], motion.aabb, keys_grad, first_key)
-    weights, left = composite_weights(canonical.alpha(x0, rest_grads[0]), samples.offsets)
-    away = distances(x, samples, canonical.ndc, rays_o)
-    rgb, depth, colours = shade(canonical, x0, rays_d, samples, weights, away, rest_grads[1])
+    x0 = x + quad(motion.backward, x, tau[samples.ray_id], motion.aabb, grads.keys, grads.first_key)
+    weights, left = composite_weights(canonical.alpha(x0, grads.density), samples.offsets)
+    away = distances(x, samples, canonical.ndc, rays.o)
+    rgb, depth, colours = shade(canonical, x0, rays.d, samples, (weights, away), grads.features)
     return Moved(rgb, left, depth, samples, x, x0, weights, colours)
 
 
@@ -353,12 +365,12 @@ def _layers(
     # of movers little is held a ray, whatever its length in the box
     for o, d in _chunks(rays_o, rays_d, model.chunk if placed is None else 2 * model.chunk):
         between()
-        middle = o.new_full((len(o),), 0.5)
         if placed is not None:
             frame = torch.zeros(len(o), dtype=torch.int64, device=device)
-            seen = _layered(model, placed, frame, o, d, middle)
+            seen = _layered(model, placed, Rays.middle(o, d, rest.near, frame))
         elif motion is not None and live is not None and tau is not None:
-            seen = render_moved(rest, motion, live, o, d, tau.expand(len(o)).contiguous(), middle)
+            at, rays = tau.expand(len(o)).contiguous(), Rays.middle(o, d, rest.near)
+            seen = render_moved(rest.canonical, motion, live, rays, at)
         else:
             seen = model.box_at_rest(o, d)
         out.append((seen.rgb, seen.left, seen.depth))
@@ -368,14 +380,10 @@ def _layers(
     return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
 
 
-def _layered(
-    model: DynamicModel, placed: Placed, frame: Tensor, rays_o: Tensor, rays_d: Tensor, jitter: Tensor
-) -> Seen:
+def _layered(model: DynamicModel, placed: Placed, rays: Rays) -> Seen:
     """Rays through what stands and what moves, each at the time of its picture."""
     assert model.in_motion is not None and model.movers is not None
-    return draw_layered(
-        model.in_motion.canonical, model.movers, placed, frame, rays_o, rays_d, model.rest.near, jitter
-    )
+    return draw_layered(model.in_motion.canonical, model.movers, placed, rays)
 
 
 def _chunks(rays_o: Tensor, rays_d: Tensor, size: int) -> list[tuple[Tensor, Tensor]]:

@@ -7,6 +7,7 @@ them is a distance. Every picture brings its own size, intrinsics, principal poi
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +22,31 @@ from devrf.capture.system.progress import Progress, no_progress
 REMEMBERED_LENSES, REMEMBERED_PIXELS = 2, 1 << 20  # a picture and a smaller one of it; 12 MB each
 
 _directions: dict[tuple[object, ...], np.ndarray] = {}  # the newest last
+
+
+class Rays(NamedTuple):
+    """Rays to look along.
+
+    Attributes:
+        o: Origins, in the box frame.
+        d: Unit directions.
+        near: Distance before which they do not begin.
+        jitter: Of their first step, in steps; with surroundings of two, in the box and beside it.
+        frame: Picture of each ray, where what moves is elsewhere in each.
+    """
+
+    o: Float[Tensor, "R 3"]
+    d: Float[Tensor, "R 3"]
+    near: float
+    jitter: Float[Tensor, " R"] | Float[Tensor, "2 R"]
+    frame: Int[Tensor, " R"] | None = None
+
+    @staticmethod
+    def middle(
+        o: Float[Tensor, "R 3"], d: Float[Tensor, "R 3"], near: float, frame: Int[Tensor, " R"] | None = None
+    ) -> "Rays":
+        """Rays whose steps begin in their middle, as in pictures."""
+        return Rays(o, d, near, torch.full_like(o[:, 0], 0.5), frame)
 
 
 @dataclass(frozen=True)

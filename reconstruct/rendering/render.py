@@ -19,6 +19,7 @@ from devrf.reconstruct.fields.contracted_background import Shell
 from devrf.reconstruct.fields.ndc import Ndc
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights
 from devrf.reconstruct.kernels.march import RaySegments, Samples, intersect, march
+from devrf.reconstruct.rendering.rays import Rays
 
 FAINT = 1e-4  # opacity of a ray below which its mean features no longer grow
 BEYOND = 1e9  # everything: a segment that begins there has no samples
@@ -66,38 +67,27 @@ class Seen(NamedTuple):
 
 def render_rest(
     canonical: Canonical,
-    shell: Shell | None,
-    plain: Float[Tensor, " 3"] | None,
-    rays_o: Float[Tensor, "R 3"],
-    rays_d: Float[Tensor, "R 3"],
-    *,
-    near: float,
-    jitter: Float[Tensor, "2 R"],
+    behind: Shell | Float[Tensor, " 3"] | None,
+    rays: Rays,
     target: Float[Tensor, "R 3"] | None = None,
     grads: Grads = (None, None, None),
 ) -> Rendered:
-    """Colours of rays through the scene at rest; differentiable."""
-    segments = segments_in(canonical.aabb, canonical.ndc, rays_o, rays_d, near, jitter[0])
+    """Colours of rays through the scene at rest, before its surroundings, a plain colour or nothing; differentiable.
+
+    The `jitter` of rays is [2, R].
+    """
+    segments = segments_in(canonical.aabb, canonical.ndc, rays.o, rays.d, rays.near, rays.jitter[0])
     samples = march(segments, canonical.volume())
     x = points_on(segments, samples)
     weights, left = composite_weights(canonical.alpha(x, grads[0]), samples.offsets)
-    away = distances(x, samples, canonical.ndc, rays_o)
-    rgb, depth, colours = shade(canonical, x, rays_d, samples, weights, away, grads[1])
+    away = distances(x, samples, canonical.ndc, rays.o)
+    rgb, depth, colours = shade(canonical, x, rays.d, samples, (weights, away), grads[1])
     per_point = torch.zeros_like(left)
-    if shell is None:
-        rgb = rgb if plain is None else rgb + left[:, None] * plain
-    else:
-        rgb, per_point = _with_surroundings(
-            shell,
-            rays_o,
-            rays_d,
-            (near, segments.t_in, segments.t_out),
-            jitter[1],
-            rgb,
-            left,
-            target,
-            grads[2],
-        )
+    if isinstance(behind, Shell):
+        ends = segments.t_in, segments.t_out
+        rgb, per_point = _with_surroundings(behind, rays, ends, (rgb, left), target, grads[2])
+    elif behind is not None:
+        rgb = rgb + left[:, None] * behind
     return Rendered(rgb, left, depth, weights, colours, samples.ray_id, per_point)
 
 
@@ -106,8 +96,7 @@ def shade(
     x: Float[Tensor, "S 3"],
     rays_d: Float[Tensor, "R 3"],
     samples: Samples,
-    weights: Float[Tensor, " S"],
-    away: Float[Tensor, " S"],
+    seen: tuple[Float[Tensor, " S"], Float[Tensor, " S"]],
     features_grad: Float[Tensor, "X Y Z C"] | None = None,
 ) -> tuple[Float[Tensor, "R 3"], Float[Tensor, " R"], Float[Tensor, "S 3"] | None]:
     """Colours of the box along rays, weighted distances, and the samples' own colours (None where deferred).
@@ -117,11 +106,12 @@ def shade(
         x: Samples at rest.
         rays_d: Directions of the rays.
         samples: Which ray each sample is on.
-        weights, away: Of the samples: how much each is seen, and from how far.
+        seen: Of the samples: how much each is seen, and from how far.
         features_grad: Where the gradient of the features is added.
     """
+    weights, away = seen
     if not canonical.deferred:
-        colours = canonical.colour(x, rays_d, samples.ray_id, features_grad)
+        colours = canonical.net(canonical.features_at(x, features_grad), rays_d, samples.ray_id)
         sums = accumulate(weights, torch.cat([colours, away[:, None]], dim=1), samples.ray_id, len(rays_d))
         return sums[:, :3], sums[:, 3].detach(), colours
     hit = (samples.offsets[1:] > samples.offsets[:-1]).nonzero()[:, 0]
@@ -131,8 +121,8 @@ def shade(
     values = torch.cat([features, torch.ones_like(away)[:, None], away[:, None]], dim=1)
     sums = accumulate(weights, values, of_hit[samples.ray_id], len(hit))
     opacity = sums[:, -2:-1]
-    seen = opacity * canonical.net(sums[:, :-2] / opacity.clamp_min(FAINT), rays_d[hit], of_hit[hit])
-    rgb = torch.zeros_like(rays_d).index_copy(0, hit, seen)
+    colours = opacity * canonical.net(sums[:, :-2] / opacity.clamp_min(FAINT), rays_d[hit], of_hit[hit])
+    rgb = torch.zeros_like(rays_d).index_copy(0, hit, colours)
     return rgb, torch.zeros_like(rays_d[:, 0]).index_copy(0, hit, sums[:, -1].detach()), None
 
 
@@ -168,22 +158,19 @@ def distances(
 
 def _with_surroundings(
     shell: Shell,
-    rays_o: Tensor,
-    rays_d: Tensor,
-    borders: tuple[float, Tensor, Tensor],
-    jitter: Tensor,
-    rgb: Tensor,
-    left: Tensor,
+    rays: Rays,
+    ends: tuple[Tensor, Tensor],
+    box: tuple[Tensor, Tensor],
     target: Tensor | None,
     grid_grad: Tensor | None,
 ) -> tuple[Tensor, Tensor]:
-    """Put the surroundings before and behind what the box shows; also their per-point loss."""
-    near, t_in, t_out = borders
-    before = RaySegments(rays_o, rays_d, torch.full_like(t_in, near), t_in, jitter)
+    """Put the surroundings before and behind what the box shows and lets through; also their per-point loss."""
+    (t_in, t_out), (rgb, left) = ends, box
+    before = RaySegments(rays.o, rays.d, torch.full_like(t_in, rays.near), t_in, rays.jitter[1])
     front, through, apart = shell.render(before, False, target, grid_grad)
     hidden = (through * left).detach() < SEEN
     begin = torch.where(hidden, BEYOND, t_out)
-    behind = RaySegments(rays_o, rays_d, begin, begin, jitter)
+    behind = RaySegments(rays.o, rays.d, begin, begin, rays.jitter[1])
     back, _, apart_behind = shell.render(behind, True, target, grid_grad)
     rgb = front + through[:, None] * (rgb + left[:, None] * back)
     return rgb, apart + (through * left).detach() * apart_behind

@@ -18,13 +18,15 @@ class MovingPictures:
     """The pictures.
 
     Attributes:
+        scene: In the box frame.
+        rest: The scene at rest.
         rays: Through their pixels.
         changing: Where they change.
         around: What their pixels see beside the box.
     """
 
     def __init__(self, scene: Scene, rest: RestModel, device: str) -> None:
-        """Of a scene in the box frame."""
+        self.scene, self.rest = scene, rest
         self.rays = RaySet(training(scene.dynamic), scene.image_scale, scene.background, device)
         self.changing = changing_pixels(self.rays)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)

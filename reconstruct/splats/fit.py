@@ -23,6 +23,7 @@ from devrf.reconstruct.splats.gaussians import Gaussians, flattened, pixel_sizes
 from devrf.reconstruct.splats.looks import Look
 from devrf.reconstruct.splats.moving import Nodes, moved
 
+SEED = 0  # of the order of pictures
 # places in standard deviations; thrice the published rates and more, for a hundredth of the published steps
 RATES = {"places": 0.2, "quats": 1e-2, "log_scales": 5e-2, "logits": 1e-1, "colours": 3e-2}
 LAST = 0.1  # rates at the end
@@ -35,33 +36,31 @@ CUT = 0.6  # of the longest standard deviation: how far the halves lie from the 
 
 def fit(
     model: DynamicModel,
-    gaussians: Gaussians,
+    start: tuple[Gaussians, Nodes | None],
     looks: Sequence[Look],
     behind: Float[Tensor, " 3"],
     rounds: int,
-    seed: int,
     progress: Progress = no_progress,
-    nodes: Nodes | None = None,
 ) -> Gaussians:
     """The Gaussians after so many rounds through all pictures.
 
     Args:
         model: What moves them.
-        gaussians: At rest.
+        start: Gaussians at rest, and their nodes where parts are rigid; these learn the part of those that are taken
+            elsewhere.
         looks: Pictures of the model.
         behind: Colour behind everything.
         rounds: Through all pictures, each in an order of its own.
-        seed: Of that order.
         progress: To be called with (fraction done, short text).
-        nodes: Of the Gaussians, where parts are rigid; it learns the part of those that are taken elsewhere.
     """
+    gaussians, nodes = start
     learned = _Learned(gaussians, [look.camera for look in looks])
     if nodes is not None:
         learned.nodes = nodes.then(model, [look.time for look in looks])
     adam = torch.optim.Adam(
         [{"params": [leaf], "lr": RATES[name]} for name, leaf in learned.leaves.items()], betas=BETAS, eps=EPS
     )
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(SEED)
     steps = rounds * len(looks)
     schedule = torch.optim.lr_scheduler.ExponentialLR(adam, LAST ** (1 / steps))
     for turn in range(rounds):

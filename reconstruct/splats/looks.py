@@ -18,6 +18,7 @@ from devrf.capture.system.spread import spread
 from devrf.reconstruct.fields.contracted_background import CUBE, Shell
 from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.fields.motion import MotionField
+from devrf.reconstruct.fields.movers import Movers
 from devrf.reconstruct.geometry import seen
 from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
 from devrf.reconstruct.geometry.paths import orbit
@@ -75,7 +76,7 @@ def look_around(
     """
     poses, moments = views(scene, model.motion)
     at_rest = None if model.motion is None else rest_time(model.motion)
-    still = model if model.movers is None else replace(model, movers=model.movers.still())
+    still = model if model.movers is None else replace(model, movers=_still(model.movers))
     coded = None if model.rest.shell is None else coded_shell(model.rest.shell)
     placed, others = [], []
     for n, pose in enumerate([*poses, *moments]):
@@ -145,7 +146,7 @@ def coded_shell(shell: Shell) -> Shell:
     """Surroundings with their contracted places for colours: rendered, they say where what is seen lies."""
     y = vertices(CUBE, (shell.size, shell.size, shell.size)).to(shell.grid)
     grid = torch.cat([shell.grid[..., :1], torch.logit((y / EDGE + 1) / 2)], dim=-1)
-    coded = Shell(shell.aabb, grid, final=shell.final, near=shell.near, reach=shell.reach)
+    coded = Shell(shell.aabb, grid, shell.final, shell.near, shell.reach)
     coded.distance = shell.distance
     return coded
 
@@ -165,3 +166,9 @@ def _surroundings(
     front, left, _ = coded.render(before, False)
     back, _, _ = coded.render(RaySegments(rays_o, rays_d, t_out, t_out, middle), True)
     return world(front / (1 - left).clamp(min=1e-6)[:, None]), left, world(back)
+
+
+def _still(movers: Movers) -> Movers:
+    """The same if nothing moved, in the same light."""
+    turns = torch.eye(3).expand_as(movers.rotations).contiguous()
+    return replace(movers, rotations=turns, shifts=torch.zeros_like(movers.shifts), stretches=None)

@@ -79,7 +79,7 @@ def make_splats(
     fitting = part(progress, LOOKING, 1 - LOOKING)
     nodes = nodes_of(model, gaussians.places, times)
     if rounds:
-        gaussians = fit(model, gaussians, [*placed, *others], behind, rounds, SEED, fitting, nodes)
+        gaussians = fit(model, (gaussians, nodes), [*placed, *others], behind, rounds, fitting)
     kept = (gaussians.logits.sigmoid() > FAINTEST).nonzero()[:, 0]
     return along(model, gaussians.only(kept), times, behind, nodes and replace(nodes, part=nodes.part[kept]))
 

@@ -250,7 +250,8 @@ def rest_of(
 def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor, points: Tensor | None = None) -> Shell:
     """Its surroundings; files of before have no points."""
     final, near, reach = (meta["shell"][name] for name in ("final", "near", "reach"))
-    return Shell(aabb, grid, final=int(final), near=float(near), reach=float(reach), points=points)
+    known = torch.zeros(0, 3) if points is None else points
+    return Shell(aabb, grid, int(final), float(near), float(reach), points=known)
 
 
 def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Tensor) -> MotionField:

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import Delaunay, KDTree, QhullError
 from torch import Tensor
 
-from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.canonical import Canonical, raw_density
 from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.geometry.seen import SeenView
 
@@ -71,7 +71,7 @@ def fill(canonical: Canonical, shown: Bool[Tensor, "X Y Z"], filled: Bool[Tensor
     places = vertices(canonical.aabb, canonical.shape)
     source = shown.cpu().nonzero()
     nearest = KDTree(places[tuple(source.T)].numpy()).query(places[filled.cpu()].numpy())[1]
-    canonical.density[filled] = canonical.density[filled].clamp_min(canonical.raw_density(OPTICAL))
+    canonical.density[filled] = canonical.density[filled].clamp_min(raw_density(canonical, OPTICAL))
     canonical.features = canonical.features.clone()  # those of the scene at rest stay
     canonical.features[filled] = canonical.features[tuple(source[nearest].T)]
     canonical.rebuild_occupancy()

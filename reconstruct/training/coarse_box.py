@@ -5,20 +5,23 @@ few pictures see and what lies just before a camera is kept empty; voxels that m
 voxels that end up opaque give the tight box and the space in which the fine model looks.
 """
 
+from dataclasses import replace
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from devrf.capture.system.progress import Progress
-from devrf.reconstruct.fields.canonical import Canonical
+from devrf.capture.scene import Scene
+from devrf.reconstruct.fields.canonical import new_canonical
 from devrf.reconstruct.fields.grids import GridTrainer, vertices
 from devrf.reconstruct.options import STEP_AT_REST, CanonicalOptions
-from devrf.reconstruct.rendering.rays import RaySet
-from devrf.reconstruct.rendering.render import render_rest
-from devrf.reconstruct.storage.checkpoint import Checkpoint, State
+from devrf.reconstruct.rendering.rays import Rays, RaySet
+from devrf.reconstruct.rendering.render import plain_of, render_rest
+from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.training_state import grids_state, take_up_grids
+from devrf.reconstruct.training.loop import Training, TrainingRun, train
 from devrf.reconstruct.training.losses import entropy_loss, per_point_loss, rendering_loss
 
 ALPHA_INIT = 1e-6  # of a coarse voxel: space is seen through until something in it is learned
@@ -33,54 +36,56 @@ OCCUPANCY_EVERY = 100
 
 
 def find_subject(
+    scene: Scene,
     rays: RaySet,
-    aabb: Float[Tensor, "2 3"],
-    near: float,
-    plain: Float[Tensor, " 3"],
     options: CanonicalOptions,
     generator: torch.Generator,
-    progress: Progress,
     log: TrainingLog,
-    checkpoint: Checkpoint,
+    run: TrainingRun,
 ) -> Bool[Tensor, "X Y Z"]:
-    """Vertices of a coarse grid over `aabb` at which the subject is."""
-    resolution, device = options.coarse_size, str(rays.device)
-    model = Canonical.new(
-        aabb, resolution, resolution, channels=3, mlp_width=0, stepsize=STEP_AT_REST, alpha_init=ALPHA_INIT,
-        alpha_threshold=ALPHA_THRESHOLD, weight_threshold=ALPHA_THRESHOLD, device=device, seed=options.seed,
-    )  # fmt: skip
-    views = _views(rays, aabb, model.shape, near)
-    allowed = views >= min(FEWEST_VIEWS, len(rays))
-    model.density[~allowed] = KEPT_EMPTY
-    share = (views.float() / views.max().clamp(min=1))[..., None]
-    density, features = GridTrainer(model.density), GridTrainer(model.features)
-    grids = {"density": density, "features": features}
-    per_ray = max(1, int(1.2 * sum(model.shape) / 3 / STEP_AT_REST))
-    most = max(256, min(options.coarse_rays, options.samples // per_ray))
-    begin, saved = 0, checkpoint.found(log)
-    if saved is not None:
-        begin, tensors, _ = saved
-        model.distance = tensors["distance"].to(device)
-        take_up_grids(grids, tensors)
-        for grid in grids.values():
-            grid.visit(model.reachable())
-        generator.set_state(tensors["generator"])
+    """Vertices of a coarse grid over the scene's box at which the subject is; the scene is in the box frame."""
+    training = _SubjectTraining(scene, rays, options, generator)
+    train(training, log, run)
+    model = training.model
+    per_voxel = 1 - torch.exp(-F.softplus(model.density[..., 0] + model.shift))
+    return (per_voxel > SUBJECT_ALPHA).cpu()
 
-    def state() -> State:
-        tensors = {"distance": model.distance, "generator": generator.get_state()}
-        return tensors | grids_state(grids), {}
 
-    for iteration in range(begin, options.coarse_iterations):
-        if iteration % OCCUPANCY_EVERY == 0:
-            density.visit(model.rebuild_occupancy(allowed))
-            features.reachable = density.reachable
-            progress(iteration / options.coarse_iterations, f"box: iteration {iteration}")
-        batch = rays.draw(most, generator)
-        jitter = torch.rand(2, most, generator=generator, device=generator.device).to(batch.rgb)
-        out = render_rest(
-            model, None, plain, batch.rays_o, batch.rays_d, near=near, jitter=jitter,
-            grads=(density.grad[0], features.grad[0], None),
+class _SubjectTraining(Training):
+    """The coarse model and its steps."""
+
+    name = "box"
+
+    def __init__(
+        self, scene: Scene, rays: RaySet, options: CanonicalOptions, generator: torch.Generator
+    ) -> None:
+        aabb, device = torch.tensor(scene.aabb, dtype=torch.float32), str(rays.device)
+        coarse = replace(
+            options, resolution=options.coarse_size, channels=3, mlp_width=0, deferred=False,
+            alpha_threshold=ALPHA_THRESHOLD, weight_threshold=ALPHA_THRESHOLD,
         )  # fmt: skip
+        super().__init__(options.coarse_iterations, generator)
+        self.rays, self.near = rays, scene.near
+        self.plain = plain_of(scene.background, device)
+        self.model = model = new_canonical(aabb, options.coarse_size, coarse, ALPHA_INIT, device)
+        views = _views(rays, aabb, model.shape, scene.near)
+        self.allowed = views >= min(FEWEST_VIEWS, len(rays))
+        model.density[~self.allowed] = KEPT_EMPTY
+        self.share = (views.float() / views.max().clamp(min=1))[..., None]
+        self.grids = {"density": GridTrainer(model.density), "features": GridTrainer(model.features)}
+        per_ray = max(1, int(1.2 * sum(model.shape) / 3 / STEP_AT_REST))
+        self.most = max(256, min(options.coarse_rays, options.samples // per_ray))
+
+    def step(self, iteration: int) -> None:
+        """One iteration; each voxel learns at its own rate."""
+        model, (density, features) = self.model, self.grids.values()
+        if iteration % OCCUPANCY_EVERY == 0:
+            density.visit(model.rebuild_occupancy(self.allowed))
+            features.reachable = density.reachable
+        batch = self.rays.draw(self.most, self.generator)
+        jitter = torch.rand(2, self.most, generator=self.generator, device=self.generator.device)
+        rays = Rays(batch.rays_o, batch.rays_d, self.near, jitter.to(batch.rgb))
+        out = render_rest(model, self.plain, rays, grads=(density.grad[0], features.grad[0], None))
         loss = rendering_loss(out.rgb, batch.rgb) + ENTROPY * entropy_loss(out.left)
         loss = loss + PER_POINT * per_point_loss(out.weights, out.colours, batch.rgb, out.ray_id)
         loss.backward()
@@ -88,10 +93,18 @@ def find_subject(
         before = model.density.clone()
         features.update(lr)
         density.update(lr)
-        model.density.sub_(before).mul_(share).add_(before)  # each voxel at its own rate
-        checkpoint.keep(iteration + 1, options.coarse_iterations, log, state)
-    per_voxel = 1 - torch.exp(-F.softplus(model.density[..., 0] + model.shift))
-    return (per_voxel > SUBJECT_ALPHA).cpu()
+        model.density.sub_(before).mul_(self.share).add_(before)
+
+    def state(self) -> State:
+        """Everything that the next iteration depends on."""
+        return {"distance": self.model.distance} | grids_state(self.grids), {}
+
+    def take_up(self, saved: Saved) -> None:
+        """Go on from a `state`."""
+        self.model.distance = saved.tensors["distance"].to(self.model.density.device)
+        take_up_grids(self.grids, saved.tensors)
+        for grid in self.grids.values():
+            grid.visit(self.model.reachable())
 
 
 def _views(

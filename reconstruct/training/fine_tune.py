@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from devrf.capture.scene import Scene
-from devrf.capture.system.progress import Progress, no_progress
 from devrf.reconstruct.adapt.sizing import Decision, levels_for
 from devrf.reconstruct.evaluation.left_out import LeftOut
 from devrf.reconstruct.evaluation.left_out_errors import Errors
@@ -25,16 +24,22 @@ from devrf.reconstruct.fields.flat_adam import FlatAdam
 from devrf.reconstruct.fields.grids import GridTrainer
 from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.options import MotionOptions
-from devrf.reconstruct.rendering.model import DynamicModel, live_distance, render_moved
+from devrf.reconstruct.rendering.model import (
+    NOT_TRAINED,
+    DynamicModel,
+    MovedGrads,
+    live_distance,
+    render_moved,
+)
 from devrf.reconstruct.rendering.pixel_background import PixelSurroundings
-from devrf.reconstruct.rendering.rays import RayBatch, RaySet
+from devrf.reconstruct.rendering.rays import RayBatch, Rays, RaySet
 from devrf.reconstruct.rendering.render import plain_of, render_rest
 from devrf.reconstruct.sampling.moving_pixels import changing_pixels, draw_with_importance
 from devrf.reconstruct.sampling.pictures import training
-from devrf.reconstruct.storage.checkpoint import NOWHERE, Checkpoint, Saved, State
+from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.training_state import grids_state, net_state, take_up_grids, take_up_net
-from devrf.reconstruct.training.guard import Guard, diverged
+from devrf.reconstruct.training.loop import ON_CPU, Step, Training, TrainingRun, train
 from devrf.reconstruct.training.losses import entropy_loss, rendering_loss
 
 PAYS_DB = 0.1  # a smaller gain, be it no chance, is not worth another model at rest
@@ -68,13 +73,7 @@ class FineTuned:
 
 
 def fine_tune(
-    scene: Scene,
-    rest: RestModel,
-    motion: MotionField,
-    options: MotionOptions,
-    device: str = "cpu",
-    progress: Progress = no_progress,
-    checkpoint: Checkpoint = NOWHERE,
+    scene: Scene, rest: RestModel, motion: MotionField, options: MotionOptions, run: TrainingRun = ON_CPU
 ) -> FineTuned:
     """Train a copy of the scene at rest for `fine_tuning` iterations.
 
@@ -83,29 +82,14 @@ def fine_tune(
         rest: The scene at rest; stays as it is.
         motion: Stays as it is.
         options: What can be chosen.
-        device: cpu or cuda.
-        progress: Told how far it is.
-        checkpoint: Where to keep the state between two iterations, and to take it up from.
+        run: Where, and who is told.
     Raises:
         ReconstructError: The loss diverges with small steps, too.
     """
     options = levels_for(options, rest.canonical) if options.adapt else options
-    log, iterations = TrainingLog(device, LOG_EVERY), options.fine_tuning
-    recipe = _Recipe(scene.in_box_frame(), rest, motion, options, device)
-    saved = checkpoint.found(log)
-    begin = 0 if saved is None else recipe.take_up(saved)
-    iteration = begin
-    while iteration < iterations:
-        ran_away = recipe.guard.ran_away(log, 2 * options.rays, recipe.step(iteration))
-        if ran_away or (iteration + 1 == iterations and not recipe.guard.sound()):
-            recipe.go_back(log, rest, iteration)
-            iteration = 0
-            continue
-        if iteration % 10 == 0:
-            progress(iteration / iterations, f"fine-tuning, iteration {iteration} of {iterations}")
-        iteration += 1
-        checkpoint.keep(iteration, iterations, log, recipe.state)
-    log.close_row()
+    log = TrainingLog(run.device, LOG_EVERY)
+    recipe = _Recipe(scene.in_box_frame(), rest, motion, options, run.device)
+    train(recipe, log, run)
     model = recipe.model()
     before, after, decision = recipe.errors_before, recipe.errors(), None
     gain_db = after.gain_db(before) if before is not None and after is not None else None
@@ -113,17 +97,20 @@ def fine_tune(
         gain = after.gain_over(before)
         if gain.side() <= 0 or gain.mean < PAYS_DB:
             reason = f"on pixels that it left out it gained {gain_text(gain)}"
-            decision = Decision("fine-tuning", "none", f"{iterations} iterations", reason)
+            decision = Decision("fine-tuning", "none", f"{recipe.iterations} iterations", reason)
             model = None
     return FineTuned(model, gain_db, decision, log.summary() | recipe.guard.summary())
 
 
-class _Recipe:
+class _Recipe(Training):
     """The state of fine-tuning: the copy that is trained, its optimisers, and one iteration."""
+
+    name = "fine-tuning"
 
     def __init__(
         self, scene: Scene, rest: RestModel, motion: MotionField, options: MotionOptions, device: str
     ) -> None:
+        super().__init__(options.fine_tuning, torch.Generator().manual_seed(options.seed))
         self.rays, self.rays_at_rest = (
             RaySet(training(frames), scene.image_scale, scene.background, device)
             for frames in (scene.dynamic, scene.static)
@@ -131,17 +118,17 @@ class _Recipe:
         self.changing = changing_pixels(self.rays) if options.importance > 0 else None
         self.left_out = LeftOut(self.rays, self.changing)
         self.around = PixelSurroundings(DynamicModel(rest), self.rays)
+        self.begun = rest
         self.rest, self.whole_motion = replace(rest, canonical=_copied(rest.canonical)), motion
         self.tau, self.device = motion.tau(self.rays.times), device
         self.plain, self.options = plain_of(rest.background, device), options
-        self.generator = torch.Generator().manual_seed(options.seed)
         canonical = self.rest.canonical
         reachable = canonical.reachable()
         self.density, self.features = GridTrainer(canonical.density), GridTrainer(canonical.features)
-        for grid in self._grids().values():
+        self.grids = {"density": self.density, "features": self.features}
+        for grid in self.grids.values():
             grid.visit(reachable)
         self.net = FlatAdam(canonical.net)
-        self.guard = Guard()
         self.windows = _windows(motion, device)
         self.errors_before = self.errors()  # and its last window is entered
 
@@ -155,9 +142,9 @@ class _Recipe:
         taus = (TAUS_PER_KEY * (self.tau[inside] - self.first)).round().unique() / TAUS_PER_KEY
         self.live = live_distance(self.rest, self.motion, taus, REACH) if len(taus) else None
 
-    def step(self, iteration: int) -> dict[str, Tensor]:
-        """One iteration, on rays of both kinds; returns the unweighted losses of those in motion."""
-        o, canonical = self.options, self.rest.canonical
+    def step(self, iteration: int) -> Step:
+        """One iteration, on rays of both kinds; the losses are of those in motion."""
+        o = self.options
         if len(self.windows) > 1 and iteration % WINDOW_EVERY == 0:
             self.enter(int(torch.randint(len(self.windows), (1,), generator=self.generator)))
             self.guard.turn_to(str(self.window))
@@ -165,53 +152,42 @@ class _Recipe:
         parts = {}
         if len(self.pictures):
             batch = self._draw()
-            rgb, left = self._seen(batch, self._jitter(1, batch)[0], grads)
+            rgb, left = self._seen(batch, self._jitter(1, batch)[0], MovedGrads(None, 0, *grads))
             parts = {"mse": rendering_loss(rgb, batch.rgb), "entropy": entropy_loss(left)}
             (parts["mse"] + ENTROPY * parts["entropy"]).backward()
         batch = self.rays_at_rest.draw(o.rays, self.generator)
-        out = render_rest(
-            canonical, self.rest.shell, self.plain, batch.rays_o, batch.rays_d, near=self.rest.near,
-            jitter=self._jitter(2, batch), grads=(*grads, None),
-        )  # fmt: skip
+        rays = Rays(batch.rays_o, batch.rays_d, self.rest.near, self._jitter(2, batch))
+        behind = self.plain if self.rest.shell is None else self.rest.shell
+        out = render_rest(self.rest.canonical, behind, rays, grads=(*grads, None))
         parts_at_rest = rendering_loss(out.rgb, batch.rgb), entropy_loss(out.left)
         (parts_at_rest[0] + ENTROPY * parts_at_rest[1]).backward()
         lr = self.guard.rate * o.learning_rate * LR * 0.1 ** (iteration / o.fine_tuning)
         self.features.update(lr, flag=self.density.grad[0])
         self.density.update(lr)
         self.net.step(NET_SHARE * lr)
-        return parts | {"mse_at_rest": parts_at_rest[0]}
+        return Step(2 * o.rays, parts | {"mse_at_rest": parts_at_rest[0]})
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = {"generator": self.generator.get_state()} | net_state(self.net)
-        return tensors | grids_state(self._grids()), {"window": self.window, "guard": self.guard.state()}
+        return net_state(self.net) | grids_state(self.grids), {"window": self.window}
 
-    def go_back(self, log: TrainingLog, rest: RestModel, iteration: int) -> None:
-        """To the scene at rest as the sweep has taught it, with smaller steps.
-
-        Raises:
-            ReconstructError: Steps are small enough.
-        """
-        where = f"fine-tuning, iteration {iteration}"
-        if not self.guard.go_back(log, where):
-            raise diverged(f"the loss of {where} ran away")
-        canonical = self.rest.canonical
-        canonical.density.copy_(rest.canonical.density)
-        canonical.features.copy_(rest.canonical.features)
-        canonical.net.load_state_dict(rest.canonical.net.state_dict())
-        for grid in self._grids().values():
+    def go_back(self) -> int:
+        """To the scene at rest as the sweep has taught it."""
+        canonical, begun = self.rest.canonical, self.begun.canonical
+        canonical.density.copy_(begun.density)
+        canonical.features.copy_(begun.features)
+        canonical.net.load_state_dict(begun.net.state_dict())
+        for grid in self.grids.values():
             grid.forget()
         self.net.forget()
+        return 0
 
-    def take_up(self, saved: Saved) -> int:
-        """Go on from a `state`; returns the number of iterations behind it."""
-        done, tensors, numbers = saved
-        take_up_grids(self._grids(), tensors)
+    def take_up(self, saved: Saved) -> None:
+        """Go on from a `state`."""
+        _, tensors, numbers = saved
+        take_up_grids(self.grids, tensors)
         take_up_net(self.net, tensors)
-        self.generator.set_state(tensors["generator"])
-        self.guard.take_up(numbers["guard"])
         self.enter(numbers["window"])
-        return done
 
     def model(self) -> RestModel:
         """As it is now; what is empty is looked at again."""
@@ -232,7 +208,7 @@ class _Recipe:
                 continue
             for frame, pixel in zip(batch.frame.split(AT_ONCE), batch.pixel.split(AT_ONCE), strict=True):
                 some = self.rays.at(frame, pixel)
-                rgb, _ = self._seen(some, torch.full_like(some.time, 0.5), (None, None))
+                rgb, _ = self._seen(some, torch.full_like(some.time, 0.5), NOT_TRAINED)
                 asked.append(frame)
                 squared.append(((rgb - some.rgb).double() ** 2).mean(1))
         return Errors.of(self.rays, torch.cat(asked), torch.cat(squared)) if asked else None
@@ -246,19 +222,13 @@ class _Recipe:
             draw_with_importance(self.rays, self.changing, o.rays, o.importance, pictures, self.generator)
         )
 
-    def _seen(
-        self, batch: RayBatch, jitter: Tensor, grads: tuple[Tensor | None, Tensor | None]
-    ) -> tuple[Tensor, Tensor]:
+    def _seen(self, batch: RayBatch, jitter: Tensor, grads: MovedGrads) -> tuple[Tensor, Tensor]:
         """Colours of rays in motion, and the box's transmittance."""
         assert self.live is not None  # there are pictures
         tau = self.tau[batch.frame] - self.first
-        seen = render_moved(
-            self.rest, self.motion, self.live, batch.rays_o, batch.rays_d, tau, jitter, rest_grads=grads
-        )
+        rays = Rays(batch.rays_o, batch.rays_d, self.rest.near, jitter)
+        seen = render_moved(self.rest.canonical, self.motion, self.live, rays, tau, grads)
         return self.around.at(batch.frame, batch.pixel).compose(seen.rgb, seen.left), seen.left
-
-    def _grids(self) -> dict[str, GridTrainer]:
-        return {"density": self.density, "features": self.features}
 
     def _jitter(self, rows: int, batch: RayBatch) -> Tensor:
         return torch.rand(rows, len(batch.rgb), generator=self.generator).to(batch.rgb)

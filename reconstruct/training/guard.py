@@ -99,33 +99,18 @@ class Guard:
         losses = [float(loss) for loss in self._recent]
         now, lowest = median(losses), self._lowest[self._pictures]
         self._lowest[self._pictures] = min(lowest, now)
-        if not all(map(math.isfinite, losses)) or now > self._by_chance() * lowest:
+        if not all(map(math.isfinite, losses)) or now > _by_chance(self._changes) * lowest:
             return True
-        self._learn_chance(losses)
-        return False
-
-    def _by_chance(self) -> float:
-        """How many times its lowest value a loss may be without having run away."""
-        if len(self._changes) < ENOUGH_CHANGES:
-            return RUNAWAY
-        # a change is the difference of two losses
-        spread = 1.4826 * median(map(abs, self._changes)) / math.sqrt(2)
-        return max(RUNAWAY, math.exp(CHANCE * spread))
-
-    def _learn_chance(self, losses: list[float]) -> None:
-        """Note how losses changed since the look before; cameras that take turns stand at the same places in both."""
-        if len(self._before) == len(losses) and min(*self._before, *losses) > 0:
-            changes = [math.log(a / b) for a, b in zip(losses, self._before, strict=True)]
-            trend = median(changes)
-            self._changes = [*self._changes, *(change - trend for change in changes)][-CHANGES:]
+        self._changes = [*self._changes, *_changed(self._before, losses)][-CHANGES:]
         self._before = losses
+        return False
 
     def sound(self) -> bool:
         """Whether the last losses, looked at or not, are those of a model to keep: a leap shows in two on end."""
         losses = [float(loss) for loss in self._recent]
         if not all(map(math.isfinite, losses)):
             return False
-        return len(losses) < 2 or min(losses[-2:]) <= self._by_chance() * self._lowest[self._pictures]
+        return len(losses) < 2 or min(losses[-2:]) <= _by_chance(self._changes) * self._lowest[self._pictures]
 
     def go_back(self, log: TrainingLog, where: str) -> bool:
         """Say so, and take smaller steps from now on; False: it was tried often enough, and the rate is as before."""
@@ -156,6 +141,24 @@ class Guard:
     def summary(self) -> dict[str, Any]:
         """As written to metrics.json: `rate` is the smallest with which anything was trained that was kept."""
         return {"restarts": self.restarts, "rate": min(self._smallest, self.rate)}
+
+
+def _by_chance(changes: list[float]) -> float:
+    """How many times its lowest value a loss may be without having run away."""
+    if len(changes) < ENOUGH_CHANGES:
+        return RUNAWAY
+    # a change is the difference of two losses
+    spread = 1.4826 * median(map(abs, changes)) / math.sqrt(2)
+    return max(RUNAWAY, math.exp(CHANCE * spread))
+
+
+def _changed(before: list[float], losses: list[float]) -> list[float]:
+    """How losses changed since the look before; cameras that take turns stand at the same places in both."""
+    if len(before) != len(losses) or min(*before, *losses) <= 0:
+        return []
+    changes = [math.log(a / b) for a, b in zip(losses, before, strict=True)]
+    trend = median(changes)
+    return [change - trend for change in changes]
 
 
 def diverged(where: str) -> ReconstructError:

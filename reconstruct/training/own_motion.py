@@ -73,8 +73,7 @@ def fit_own(
         raise ReconstructError("pictures-none", "no training pictures of the scene in motion")
     keys, box = offered_keys(frames, options), motion_box(scene, rest, frames, len(times))
     at_rest = None if scene.rest_time is None else rest_key_of(scene.rest_time, times, keys)
-    span: dict[str, Any] = {"t_first": times[0], "t_last": times[-1], "rest_key": at_rest}
-    still = MotionField.still(box, keys, options.levels[-1], **span, device=device)
+    still = MotionField.still(box, keys, options.levels[-1], (times[0], times[-1]), at_rest, device)
     motion = own.fit(scene, rest, flows, still, progress)
     shapes, sums = motion.backward.shape == motion.forward.shape, motion.backward.sum() + motion.forward.sum()
     if not (shapes and torch.isfinite(sums)):

@@ -5,62 +5,54 @@ cube of normalised device coordinates.
 """
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.capture.system.errors import ReconstructError
-from devrf.capture.system.progress import Progress
 from devrf.reconstruct.adapt.hull import box_of, visual_hull
 from devrf.reconstruct.fields.grids import grid_shape, grown
 from devrf.reconstruct.fields.ndc import CUBE, Ndc
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rendering.rays import RaySet
-from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.training_log import TrainingLog
+from devrf.reconstruct.training.canonical_state import Hull
 from devrf.reconstruct.training.coarse_box import find_subject
+from devrf.reconstruct.training.loop import TrainingRun
 
 BOX_MARGIN = 1.2  # by which the tight box is enlarged about its centre: silhouettes may miss a thin edge
 
 
 def subject_box(
     scene: Scene,
-    frames: tuple[PosedFrame, ...],
     rays: RaySet,
-    plain: Float[Tensor, " 3"] | None,
     options: CanonicalOptions,
     generator: torch.Generator,
-    progress: Progress,
     log: TrainingLog,
-    checkpoint: Checkpoint,
-) -> tuple[Float[Tensor, "2 3"], tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None]:
+    run: TrainingRun,
+) -> tuple[Float[Tensor, "2 3"], Hull | None]:
     """The box to model, and where in it the subject can be, over a box of its own, where that is known.
 
     Args:
         scene: In the box frame.
-        frames: The sweep's training pictures.
-        rays: Theirs.
-        plain: The colour of the background; None where it is none.
+        rays: Of the sweep's training pictures.
         options: What can be chosen.
-        generator: Of the coarse model's training, as `log` and `checkpoint`.
-        progress: Told how far the search is.
+        generator: Of the coarse model's training, as `log`.
         log: Of all of stage 1.
-        checkpoint: Of all of stage 1.
+        run: Of the search.
     Raises:
         ReconstructError: Nothing is found.
     """
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)
     if scene.ndc is not None:
-        return CUBE, _hull_in_planes(frames, Ndc(*scene.ndc), rays, scene.background, options)
-    if plain is None:
+        return CUBE, _hull_in_planes(rays.frames, Ndc(*scene.ndc), rays, scene.background, options)
+    if scene.background == "shell":
         return aabb, None
     if options.box_search == "coarse":
-        kept = find_subject(
-            rays, aabb, scene.near, plain, options, generator, progress, log, checkpoint.part("box")
-        )
+        kept = find_subject(scene, rays, options, generator, log, run.part("box"))
         near_kept = grown(kept)
     else:
-        kept = visual_hull(frames, aabb, grid_shape(aabb, options.hull_resolution), scene.background)
+        kept = visual_hull(rays.frames, aabb, grid_shape(aabb, options.hull_resolution), scene.background)
         near_kept = grown(grown(kept))
     tight = box_of(kept, aabb, BOX_MARGIN)
     if tight is None:
@@ -74,7 +66,7 @@ def subject_box(
 
 def _hull_in_planes(
     frames: tuple[PosedFrame, ...], ndc: Ndc, rays: RaySet, background: str, options: CanonicalOptions
-) -> tuple[Bool[Tensor, "X Y Z"], Float[Tensor, "2 3"]] | None:
+) -> Hull | None:
     """Where the subject can be by its mattes; None without, or as published, which looks everywhere."""
     if rays.opacity is None or options.box_search == "coarse":
         return None

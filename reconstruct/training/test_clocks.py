@@ -59,10 +59,7 @@ def view_offset(scene: Scene, model: DynamicModel, camera_name: str, estimator: 
     true = [load_image(f, scene.image_scale, scene.background) for f in chosen]
     offset, std = 0.0, np.inf
     for _ in range(ROUNDS):
-        every = (
-            _late(scene, model, f, picture, offset, gap, estimator)
-            for f, picture in zip(chosen, true, strict=True)
-        )
+        every = (_late(scene, model, view, offset, gap, estimator) for view in zip(chosen, true, strict=True))
         said = [late for late in every if late is not None]
         if len(said) < FEWEST_PICTURES:
             return ViewOffset(None, "too few pictures show something on its way")
@@ -79,13 +76,13 @@ def view_offset(scene: Scene, model: DynamicModel, camera_name: str, estimator: 
 def _late(
     scene: Scene,
     model: DynamicModel,
-    frame: PosedFrame,
-    true: UInt8[np.ndarray, "h w 3"],
+    view: tuple[PosedFrame, UInt8[np.ndarray, "h w 3"]],
     offset: float,
     gap: float,
     estimator: FlowEstimator,
 ) -> float | None:
     """What one picture says beside an offset, in times between two pictures; None where nothing is on its way."""
+    frame, true = view
     assert frame.time is not None
     time, camera = frame.time + offset, frame.camera.scaled(scene.image_scale)
     if not 0 <= time <= 1:

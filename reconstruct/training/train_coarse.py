@@ -5,26 +5,28 @@ samples there. One contracted grid of density and plain colours, rendered by the
 which needs no MLP and stores no samples: ten times as many rays per second as the fine model through fog.
 """
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.adapt.background_reach import reach_of
 from devrf.reconstruct.adapt.carving import carve, trained_lines
 from devrf.reconstruct.fields.canonical import EMPTY, Canonical
-from devrf.reconstruct.fields.contracted_background import CUBE, Shell
+from devrf.reconstruct.fields.contracted_background import CUBE, Shell, grey
 from devrf.reconstruct.fields.grids import GridTrainer, grown, upsample, vertices
 from devrf.reconstruct.kernels.launch import copies_for
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.trilinear import trilinear
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rendering.rays import RayBatch, RaySet
-from devrf.reconstruct.sampling.plates import draw_with_plates
-from devrf.reconstruct.storage.checkpoint import NOWHERE, Checkpoint, State
+from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.training_state import grids_state, take_up_grids
+from devrf.reconstruct.training.loop import ON_CPU, Training, TrainingRun, train
 from devrf.reconstruct.training.losses import rendering_loss
 
 SIZES = (0.4, 0.6, 0.8, 1.0)  # of `coarse_size`, each for a quarter of the iterations, where nothing is known
@@ -34,57 +36,76 @@ SEEN_BATCHES = 40  # of rays, to find what is visible
 SEEN_WEIGHT = 5e-3
 MOST_ALPHA = 0.5  # opacities are handed on no higher: what is opaque no longer learns
 
+Draw = Callable[[int], RayBatch]
+"""Draws so many rays of the pictures that are trained on."""
+
 
 def train_coarse(
     scene: Scene,
-    rays: RaySet,
-    plates: RaySet | None,
+    draw: Draw,
     options: CanonicalOptions,
-    device: str,
     generator: torch.Generator,
     log: TrainingLog,
-    checkpoint: Checkpoint = NOWHERE,
+    run: TrainingRun = ON_CPU,
 ) -> Shell:
-    """Train the coarse model on the sweep and on plates; from the sweep's points where there are any."""
-    lines, near = trained_lines(scene), scene.near
-    aabb = torch.tensor(scene.aabb, dtype=torch.float32)
-    sizes = [max(8, round(share * options.coarse_size)) for share in (SIZES if lines is None else (1.0,))]
-    per_size = max(1, options.coarse_iterations // len(sizes))
-    model = Shell.new(aabb, sizes[0], sizes[-1], near=near, reach=reach_of(scene), device=device, inside=True)
-    if lines is not None:
-        model.start_from(*carve(*lines, aabb, sizes[0], near, model.reach))
-    trainer = GridTrainer(model.grid, copies_for(model.grid.device))
-    begin, saved = 0, checkpoint.found(log)
-    if saved is not None:
-        begin, tensors, _ = saved
-        model.grid = torch.empty_like(tensors["grid"], device=device)
-        model.distance = tensors["distance"].to(device)
-        trainer = GridTrainer(model.grid, copies_for(model.grid.device))
-        take_up_grids({"grid": trainer}, tensors)
-        trainer.visit(model.reachable())
-        generator.set_state(tensors["generator"])
+    """Train the coarse model on the rays that are drawn; from the sweep's points where there are any."""
+    training = _CoarseTraining(scene, draw, options, generator, run.device)
+    train(training, log, run)
+    return training.model
 
-    def state() -> State:
-        tensors = {"distance": model.distance, "generator": generator.get_state()}
-        return tensors | grids_state({"grid": trainer}), {}
 
-    for step in range(begin, per_size * len(sizes)):
-        n, iteration = divmod(step, per_size)
-        if n > 0 and iteration == 0:
-            model.refine(sizes[n])
-            trainer = GridTrainer(model.grid, copies_for(model.grid.device))
-        if iteration % OCCUPANCY_EVERY == 0:
-            trainer.visit(model.rebuild_occupancy())
-        _loss(
-            model,
-            draw_with_plates(rays, plates, options.coarse_rays, generator),
-            options,
-            generator,
-            trainer.grad,
-        ).backward()
-        trainer.update(LR * 0.1 ** ((n + iteration / per_size) / len(sizes)))
-        checkpoint.keep(step + 1, per_size * len(sizes), log, state)
-    return model
+class _CoarseTraining(Training):
+    """The coarse model and its steps."""
+
+    name = "coarse model"
+
+    def __init__(
+        self, scene: Scene, draw: Draw, options: CanonicalOptions, generator: torch.Generator, device: str
+    ) -> None:
+        self.draw, self.options = draw, options
+        lines, near = trained_lines(scene), scene.near
+        aabb = torch.tensor(scene.aabb, dtype=torch.float32)
+        shares = SIZES if lines is None else (1.0,)
+        self.sizes = [max(8, round(share * options.coarse_size)) for share in shares]
+        self.per_size = max(1, options.coarse_iterations // len(self.sizes))
+        super().__init__(self.per_size * len(self.sizes), generator)
+        grid, reach = grey(self.sizes[0], device), reach_of(scene)
+        self.model = Shell(aabb, grid, self.sizes[-1], near, reach, inside=True).begun()
+        if lines is not None:
+            self.model.start_from(*carve(*lines, aabb, self.sizes[0], near, reach))
+        self._new_trainer()
+
+    def step(self, iteration: int) -> None:
+        """One iteration; the model grows where it is time to."""
+        n, within = divmod(iteration, self.per_size)
+        if n > 0 and within == 0:
+            self.model.refine(self.sizes[n])
+            self._new_trainer()
+        if within % OCCUPANCY_EVERY == 0:
+            self.trainer.visit(self.model.rebuild_occupancy())
+        batch = self.draw(self.options.coarse_rays)
+        jitter = torch.rand(len(batch.rgb), generator=self.generator, device=self.generator.device)
+        begin = torch.full_like(jitter.to(batch.rgb), self.model.near)
+        segment = RaySegments(batch.rays_o, batch.rays_d, begin, begin, jitter.to(batch.rgb))
+        rgb, _, apart = self.model.render(segment, True, batch.rgb, self.trainer.grad)
+        (rendering_loss(rgb, batch.rgb) + self.options.per_point * apart.mean()).backward()
+        self.trainer.update(LR * 0.1 ** ((n + within / self.per_size) / len(self.sizes)))
+
+    def state(self) -> State:
+        """Everything that the next iteration depends on."""
+        return {"distance": self.model.distance} | grids_state({"grid": self.trainer}), {}
+
+    def take_up(self, saved: Saved) -> None:
+        """Go on from a `state`."""
+        tensors, device = saved.tensors, self.model.grid.device
+        self.model.grid = torch.empty_like(tensors["grid"], device=device)
+        self.model.distance = tensors["distance"].to(device)
+        self._new_trainer()
+        take_up_grids({"grid": self.trainer}, tensors)
+        self.trainer.visit(self.model.reachable())
+
+    def _new_trainer(self) -> None:
+        self.trainer = GridTrainer(self.model.grid, copies_for(self.model.grid.device))
 
 
 def visible(
@@ -123,14 +144,3 @@ def hand_on(
     density = optical + torch.log(-torch.expm1(-optical)) - canonical.shift  # the softplus undone
     near = trilinear(seen.float()[..., None], u, CUBE)[:, 0]
     canonical.density[..., 0] = torch.where(near > 0, density, EMPTY).reshape(canonical.shape)
-
-
-def _loss(
-    model: Shell, batch: RayBatch, options: CanonicalOptions, generator: torch.Generator, grad: Tensor
-) -> Float[Tensor, ""]:
-    """Of rays that were drawn."""
-    jitter = torch.rand(len(batch.rgb), generator=generator, device=generator.device).to(batch.rgb)
-    begin = torch.full_like(jitter, model.near)
-    segment = RaySegments(batch.rays_o, batch.rays_d, begin, begin, jitter)
-    rgb, _, apart = model.render(segment, True, batch.rgb, grad)
-    return rendering_loss(rgb, batch.rgb) + options.per_point * apart.mean()

@@ -16,10 +16,9 @@ import torch
 from torch import Tensor
 
 from devrf.capture.scene import Scene
-from devrf.capture.system.progress import Progress, no_progress
 from devrf.reconstruct.evaluation.left_out import LeftOut
 from devrf.reconstruct.evaluation.left_out_errors import Errors, errors_of
-from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.canonical import Canonical, raw_density
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.fields.flat_adam import FlatAdam
 from devrf.reconstruct.fields.grids import GridTrainer, grown
@@ -30,16 +29,16 @@ from devrf.reconstruct.kernels.composite_layers import Fields
 from devrf.reconstruct.options import MotionOptions, longer
 from devrf.reconstruct.rendering.layered import draw_layered, render_layered
 from devrf.reconstruct.rendering.model import Around, DynamicModel
-from devrf.reconstruct.rendering.rays import RayBatch, RaySet
+from devrf.reconstruct.rendering.rays import RayBatch, Rays, RaySet
 from devrf.reconstruct.rendering.render import Seen
 from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.sampling.moving_pixels import draw_with_importance
 from devrf.reconstruct.sampling.pictures import training
 from devrf.reconstruct.sampling.retimed import retimed
-from devrf.reconstruct.storage.checkpoint import NOWHERE, Checkpoint, Saved, State
+from devrf.reconstruct.storage.checkpoint import Saved, State
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.storage.training_state import grids_state, net_state, take_up_grids, take_up_net
-from devrf.reconstruct.training.guard import Guard, diverged
+from devrf.reconstruct.training.loop import ON_CPU, Step, Training, TrainingRun, train
 from devrf.reconstruct.training.losses import entropy_loss, per_point_loss, rendering_loss
 
 PICTURES = 16  # of which an iteration's rays are
@@ -77,54 +76,31 @@ class Trained:
 
 
 def train_movers(
-    scene: Scene,
-    rest: RestModel,
+    pictures: MovingPictures,
     stands: Canonical,
     movers: Movers,
     options: MotionOptions,
-    device: str = "cpu",
-    progress: Progress = no_progress,
-    checkpoint: Checkpoint = NOWHERE,
+    run: TrainingRun = ON_CPU,
     offsets_s: Mapping[str, float] | None = None,
-    pictures: MovingPictures | None = None,
 ) -> Trained:
     """Train for `together` iterations, for more where motion lasts longer than these are meant for.
 
     Args:
-        scene: In the box frame; its moving cameras are trained on.
-        rest: The scene at rest; stays as it is.
-        stands: The same without what moves.
+        pictures: Of a scene in the box frame, whose moving cameras are trained on; its scene at rest stays as it is.
+        stands: The scene at rest without what moves.
         movers: What moves.
         options: What can be chosen.
-        device: cpu or cuda.
-        progress: Told how far it is.
-        checkpoint: Where to keep the state between two iterations, and to take it up from.
+        run: Where, and who is told.
         offsets_s: Seconds by which cameras took their pictures later than the scene says.
-        pictures: Those of the scene, where they are at hand.
     Raises:
         ReconstructError: The loss diverges with small steps, too.
     """
-    log = TrainingLog(device, LOG_EVERY)
-    pictures = pictures or MovingPictures(scene, rest, device)
-    recipe = _Recipe(scene, rest, stands, movers, options, pictures, offsets_s or {})
-    iterations = recipe.iterations
-    saved = checkpoint.found(log)
-    iteration = 0 if saved is None else recipe.take_up(saved)
-    while iteration < iterations:
-        ran_away = recipe.guard.ran_away(log, options.together_rays, recipe.step(iteration))
-        if ran_away or (iteration + 1 == iterations and not recipe.guard.sound()):
-            recipe.go_back(log, stands, movers, iteration)
-            iteration = 0
-            continue
-        if iteration % 10 == 0:
-            progress(iteration / iterations, f"together, iteration {iteration} of {iterations}")
-        iteration += 1
-        if iteration % OCCUPANCY_EVERY == 0:  # where it looks anew in any case
-            checkpoint.keep(iteration, iterations, log, recipe.state)
-    log.close_row()
+    log = TrainingLog(run.device, LOG_EVERY)
+    recipe = _Recipe(pictures, stands, movers, options, offsets_s or {})
+    train(recipe, log, run)
     recipe.finish()
     return Trained(
-        replace(rest, canonical=recipe.stands, shell=None, metrics={}),
+        replace(pictures.rest, canonical=recipe.stands, shell=None, metrics={}),
         recipe.movers,
         recipe.errors(recipe.movers),
         recipe.errors(recipe.movers.unshaded()),
@@ -134,41 +110,37 @@ def train_movers(
 
 
 def untrained_errors(
-    scene: Scene,
-    rest: RestModel,
-    stands: Canonical,
-    motions: Sequence[Movers],
-    options: MotionOptions,
-    pictures: MovingPictures,
+    pictures: MovingPictures, stands: Canonical, motions: Sequence[Movers], options: MotionOptions
 ) -> list[Errors]:
     """Errors where training begins, in a little fog, of motions of the same parts, on pixels that it will leave out.
 
     Tracking, which gave these motions, has read the pixels. Arguments as `train_movers`'s.
     """
-    recipe = _Recipe(scene, rest, stands, motions[0], options, pictures, {})
+    recipe = _Recipe(pictures, stands, motions[0], options, {})
     moved = (
         replace(recipe.movers, rotations=m.rotations, shifts=m.shifts, stretches=m.stretches) for m in motions
     )
     return [recipe.errors(movers) for movers in moved]
 
 
-class _Recipe:
+class _Recipe(Training):
     """The state of the training: both layers, their optimisers, and one iteration."""
+
+    name = "training together"
 
     def __init__(
         self,
-        scene: Scene,
-        rest: RestModel,
+        pictures: MovingPictures,
         stands: Canonical,
         movers: Movers,
         options: MotionOptions,
-        pictures: MovingPictures,
         offsets_s: Mapping[str, float],
     ) -> None:
-        times = movers.times
+        scene, rest, times = pictures.scene, pictures.rest, movers.times
+        self.begun, self.keep_every = (stands, movers.canonical), OCCUPANCY_EVERY  # where it looks anew
         more = longer(float(times[-1] - times[0]) * (scene.t1_s - scene.t0_s))
         self.scene, self.options, self.rest = scene, options, rest
-        self.iterations = round(more * options.together)
+        super().__init__(round(more * options.together), torch.Generator().manual_seed(options.seed))
         at, self.pictures = _times(pictures.rays, scene, offsets_s)
         timed = pictures.at(at)
         self.rays, self.changing, self.around = timed.rays, timed.changing, timed.around
@@ -177,7 +149,6 @@ class _Recipe:
         rest_time = torch.tensor([scene.rest_time or 0.0], device=self.rays.times.device)
         self.in_sweep = movers.at_rest(rest_time)
         self.corrections = Corrections(movers, self.rays.times)
-        self.generator = torch.Generator().manual_seed(options.seed)
         net = copy.deepcopy(stands.net)
         for parameter in net.parameters():
             parameter.requires_grad_(True)
@@ -185,7 +156,6 @@ class _Recipe:
         ends = float(times[0]), float(times[-1])
         self.shading = Shading.none(own.aabb, *ends, own.density.device, more)
         self.movers = replace(movers, canonical=own, shading=self.shading)
-        self.guard = Guard()
         self._begin()
 
     @cached_property
@@ -203,7 +173,7 @@ class _Recipe:
             zone = grown(zone)
         self.zone = zone
         empty = zone & (stands.distance > 0)
-        stands.density[empty] = stands.raw_density(FOG)
+        stands.density[empty] = raw_density(stands, FOG)
         stands.features[empty] = 0
         self.grids = {
             "stands density": GridTrainer(stands.density),
@@ -223,8 +193,8 @@ class _Recipe:
         for name, grid in self.grids.items():
             grid.visit(self.zone if name.startswith("stands") else self.region)
 
-    def step(self, iteration: int) -> dict[str, Tensor]:
-        """One iteration; returns the unweighted losses."""
+    def step(self, iteration: int) -> Step:
+        """One iteration."""
         if iteration and iteration % OCCUPANCY_EVERY == 0:
             self._look()
         chosen = self.pictures[torch.randperm(len(self.pictures), generator=self.generator)[:PICTURES]]
@@ -244,16 +214,14 @@ class _Recipe:
         places = LR_PLACES * self.stands.voxel
         for optimiser, rate in ((self.net, LR_NET), (self.light, LR_SHADING), (self.places, places)):
             optimiser.step(decay * rate)
-        return parts
+        return Step(self.options.together_rays, parts)
 
     def _losses(self, batch: RayBatch, placed: Placed, around: Around) -> dict[str, Tensor]:
         """Of rays before their surroundings; their gradient goes to the grids and to where parts are."""
         jitter = torch.rand(len(batch.rgb), generator=self.generator).to(batch.rgb)
         grads = Fields(*(grid.grad[0] for grid in self.grids.values()))
-        seen = render_layered(
-            self.stands, self.movers, placed, batch.frame, batch.rays_o, batch.rays_d, self.rest.near, jitter,
-            grads, TRAINS,
-        )  # fmt: skip
+        rays = Rays(batch.rays_o, batch.rays_d, self.rest.near, jitter, batch.frame)
+        seen = render_layered(self.stands, self.movers, placed, rays, grads, TRAINS)
         return {
             "mse": rendering_loss(around.compose(seen.rgb, seen.left), batch.rgb),
             "entropy": entropy_loss(seen.left),
@@ -262,40 +230,28 @@ class _Recipe:
 
     def state(self) -> State:
         """Everything that the next iteration depends on."""
-        tensors = {"generator": self.generator.get_state()}
-        tensors |= net_state(self.net) | grids_state(self.grids)
-        tensors |= net_state(self.light, "light ") | net_state(self.places, "places ")
-        return tensors, {"guard": self.guard.state()}
+        tensors = net_state(self.net) | grids_state(self.grids)
+        return tensors | net_state(self.light, "light ") | net_state(self.places, "places "), {}
 
-    def take_up(self, saved: Saved) -> int:
-        """Go on from a `state`, at a point at which the next step looks; returns the iterations behind it."""
-        done, tensors, numbers = saved
-        take_up_grids(self.grids, tensors)
-        take_up_net(self.net, tensors)
-        self.generator.set_state(tensors["generator"])
-        self.guard.take_up(numbers["guard"])
-        take_up_net(self.light, tensors, "light ")
-        take_up_net(self.places, tensors, "places ")
-        return done
+    def take_up(self, saved: Saved) -> None:
+        """Go on from a `state`, at a point at which the next step looks."""
+        take_up_grids(self.grids, saved.tensors)
+        nets = {"": self.net, "light ": self.light, "places ": self.places}
+        for name, net in nets.items():
+            take_up_net(net, saved.tensors, name)
 
-    def go_back(self, log: TrainingLog, stands: Canonical, movers: Movers, iteration: int) -> None:
-        """To the beginning, with smaller steps.
-
-        Raises:
-            ReconstructError: Steps are small enough.
-        """
-        where = f"training together, iteration {iteration}"
-        if not self.guard.go_back(log, where):
-            raise diverged(f"the loss of {where} ran away")
-        for mine, begun in ((self.stands, stands), (self.movers.canonical, movers.canonical)):
+    def go_back(self) -> int:
+        """To the beginning."""
+        for mine, begun in zip((self.stands, self.movers.canonical), self.begun, strict=True):
             mine.density.copy_(begun.density)
             mine.features.copy_(begun.features)
             mine.distance = begun.distance
-        self.stands.net.load_state_dict(stands.net.state_dict())
+        self.stands.net.load_state_dict(self.begun[0].net.state_dict())
         with torch.no_grad():
             self.shading.grid.zero_()
             self.corrections.values.zero_()
         self._begin()
+        return 0
 
     def finish(self) -> None:
         """No more training."""
@@ -313,18 +269,8 @@ class _Recipe:
         placed = movers.placed(self.rays.times)
 
         def seen(some: RayBatch) -> Seen:
-            middle = torch.full_like(some.time, 0.5)
-            return draw_layered(
-                self.stands,
-                movers,
-                placed,
-                some.frame,
-                some.rays_o,
-                some.rays_d,
-                self.rest.near,
-                middle,
-                TRAINS,
-            )
+            rays = Rays.middle(some.rays_o, some.rays_d, self.rest.near, some.frame)
+            return draw_layered(self.stands, movers, placed, rays, TRAINS)
 
         return errors_of(*asked, seen)
 

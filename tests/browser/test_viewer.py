@@ -22,6 +22,7 @@ from devrf.pipelines.viewer import server as viewer_site
 from devrf.pipelines.viewer.own_address import Address
 from devrf.pipelines.viewer.server import Site
 from devrf.pipelines.viewer.views import first_camera, seen_by
+from devrf.pipelines.viewer.visitors import LEAD_S
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.rendering.model import DynamicModel, render_view
 from devrf.reconstruct.storage.model_io import load_model
@@ -46,8 +47,8 @@ class Visited:
 
     def eye(self) -> Any:
         """Where the visitor looks from."""
-        assert self.site.leader is not None
-        return self.site.leader.camera
+        assert self.site.visitors.leader is not None
+        return self.site.visitors.leader.camera
 
     def picture(self) -> np.ndarray:
         """The page's picture of the scene, without what lies above it at the sides, as floats in [0, 1]."""
@@ -225,7 +226,7 @@ def test_all_visitors_share_one_view_one_time_and_one_picture(visited: Visited, 
 
     wait_for(together, LIMIT_S)
     before = first.position
-    time.sleep(viewer_site.LEAD_S)
+    time.sleep(LEAD_S)
     drag(other)
     wait_for(lambda: np.linalg.norm(second.position - before) > 0.3 and together(), LIMIT_S)
     page.get_by_role("slider").first.press("End")

@@ -28,8 +28,9 @@ from devrf.capture.rest import Rest
 from devrf.capture.system.errors import CaptureError, HealthError
 from devrf.capture.view_axes import look_at
 from devrf.pipelines.health.judge import judge
-from devrf.pipelines.stages.rig import rig_stage
+from devrf.pipelines.stages.rig import rig_routes
 from devrf.pipelines.stages.rig.joint_clips import JointViews
+from devrf.pipelines.stages.rig.rig_job import RigJob
 
 SIZE = (640, 480)
 VECTOR = np.array([520.0, 520.0, 324.0, 236.0, -0.06, 0.0, 0.0, 0.0, 0.0])
@@ -321,16 +322,18 @@ def test_sweep_and_board_adjusted_together(sweep, tmp_path, monkeypatch):
     assert len(graph) == 3 and all(link.corners > 200 and link.points > 50 for link in graph)
 
     # the stage says the same, and that both routes agree
-    job = object.__new__(rig_stage._Job)
+    job = object.__new__(RigJob)
     job.measures, job.scales = [], []
     seen = JointViews(SPEC, {}, known, known, {})
-    monkeypatch.setattr(rig_stage._Job, "board_is_measured", property(lambda self: True))
-    monkeypatch.setattr(rig_stage._Job, "_board_rig", lambda self, names, progress: (seen, board))
-    together = job._together(swept, swept.cameras, list(truth), lambda fraction, message: None)
+    monkeypatch.setattr(RigJob, "board_is_measured", property(lambda self: True))
+    monkeypatch.setattr(RigJob, "board_rig", lambda self, names, progress: (seen, board))
+    together = rig_routes._together(job, swept, swept.cameras, list(truth), lambda fraction, message: None)
     assert together is not None and together[1] == graph
     assert [row.verdict for row in judge(job.measures)] == ["ok"] * 6
     assert job.scales[0].factor == pytest.approx(0.8, rel=4 * both.unit_std)
-    whole = Rig({n: rig_stage._scaled(c, 0.8) for n, c in together[0].items()}, job.scales[0], "sweep", graph)
+    whole = Rig(
+        {n: rig_routes._scaled(c, 0.8) for n, c in together[0].items()}, job.scales[0], "sweep", graph
+    )
     write_rig(tmp_path / "rig.json", whole)
     content = json.loads((tmp_path / "rig.json").read_text())
     assert content["graph"][0].keys() == {"a", "b", "corners", "points"}

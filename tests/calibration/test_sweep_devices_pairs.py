@@ -12,6 +12,7 @@ from devrf.calibration.sweep.gps import USUAL_STD_M, local_metres, why_not
 from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.pairs import EXHAUSTIVE_UP_TO, plan_pairs
 from devrf.calibration.sweep.sfm_budget import CHUNK, Deadline, Matching
+from devrf.calibration.sweep.static_poses import SweepOptions
 from devrf.capture.exif import Exif, Place
 from devrf.capture.frames import FrameSet
 from devrf.capture.orientation import Upright
@@ -21,7 +22,7 @@ from devrf.capture.photos.upright_pictures import probe_picture
 from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.stages.preflight import check_raw_files
-from devrf.pipelines.stages.static_poses import recover_sweep
+from devrf.pipelines.stages.static_poses import Swept, recover_sweep
 
 
 def test_groups_by_size_share_a_camera():
@@ -205,14 +206,8 @@ def test_the_whole_stage_reads_masks_by_the_photos_own_names(tmp_path):
     sweep = extract_folder(tmp_path / "in", tmp_path / "ingest", "static", "sweep", "in")
     (tmp_path / "out").mkdir()
     with refused("mask-size-wrong", "IMG_1.jpg.png", "30x40", "IMG_1.jpg is", "60x40", kind=InputError):
-        recover_sweep(
-            tmp_path / "ingest",
-            sweep,
-            tmp_path / "out",
-            config.calibration.static_poses,
-            tmp_path,
-            tmp_path / "in",
-        )
+        swept = Swept(tmp_path / "ingest", sweep, masks=(tmp_path / "masks", tmp_path / "in"))
+        recover_sweep(swept, tmp_path / "out", SweepOptions(config.calibration.static_poses.mapper))
 
 
 class SlowDeadline(Deadline):

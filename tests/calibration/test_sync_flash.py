@@ -33,7 +33,8 @@ def clips(
     courses = {}
     for i, offset_s in enumerate(offsets_s):
         path = tmp_path / f"cam{i}.mp4"
-        film_flashes(path, RollingShutter(offset_s, **shutter), flashes_s, lamp_s, SECONDS, seed=i)
+        camera = RollingShutter(offset_s, seconds=SECONDS, **shutter)
+        film_flashes(path, camera, flashes_s, lamp_s, seed=i)
         courses[f"cam{i}"] = seen(path, tmp_path / "ingest")
     return courses
 

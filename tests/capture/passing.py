@@ -54,8 +54,8 @@ def _room(rng: np.random.Generator) -> list[Mesh]:
     edge = [(-HALF, WALL_Y, FLOOR_Z), (HALF, WALL_Y, FLOOR_Z)]
     wall = [(-HALF, WALL_Y, HALF), (HALF, WALL_Y, HALF), *edge[::-1]]
     floor = [*edge, (HALF, -HALF, FLOOR_Z), (-HALF, -HALF, FLOOR_Z)]
-    paint = {"paint": PAINT, "largest_m": 0.8, "smallest_m": 0.08}
+    paint = {"paint": PAINT, "sizes_m": (0.08, 0.8)}
     return [
-        picture_on_quad(np.array(corners, float), texture(rng, TEXELS, TEXELS, TEXEL, 1.0, **paint))
+        picture_on_quad(np.array(corners, float), texture(rng, (TEXELS, TEXELS), TEXEL, 1.0, **paint))
         for corners in (wall, floor)
     ]

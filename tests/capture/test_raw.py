@@ -19,7 +19,7 @@ from devrf.capture.photos.raw_set import develop_set, read_raw_sidecar
 from devrf.capture.photos.upright_pictures import probe_picture, read_picture
 from devrf.capture.system.cores import usable_cores
 from devrf.capture.system.errors import CaptureError, InputError
-from devrf.lab.simulate.session.dng import mosaic, write_dng
+from devrf.lab.simulate.session.dng import DngTags, mosaic, write_dng
 
 HEIGHT, WIDTH = 96, 128
 BLACK, WHITE = (512, 512, 512, 512), 16383
@@ -39,7 +39,7 @@ def light(gain: float = 1.0) -> Float[np.ndarray, "h w 3"]:
 def shot(path: Path, picture: np.ndarray | None = None, white: int = WHITE, **tags: Any) -> Path:
     """A photo of the light or of another picture; `tags` say other things of it than are so."""
     pixels = mosaic(light() if picture is None else picture, "RGGB", BLACK, white)
-    write_dng(path, pixels, **{"black": BLACK, "white": white, **tags})
+    write_dng(path, pixels, DngTags(**{"black": BLACK, "white": white, **tags}))
     return path
 
 
@@ -61,7 +61,9 @@ def test_srgb_curve():
 )
 def test_develops_to_its_own_truth(tmp_path, pattern, black, white):
     path = tmp_path / "a.dng"
-    write_dng(path, mosaic(light(), pattern, black, white), pattern=pattern, black=black, white=white)
+    write_dng(
+        path, mosaic(light(), pattern, black, white), DngTags(pattern=pattern, black=black, white=white)
+    )
     photo = develop(path)
     np.testing.assert_allclose(inside(photo.linear / 65535), inside(light()), atol=TRUTH)
     # Eight bits: half a level more, and the slope of the curve at the darkest value (0.1) is 1.6.
@@ -85,7 +87,11 @@ def test_one_white_balance_and_one_white_level_for_all(tmp_path):
     a = shot(tmp_path / "a.dng", light(0.5))
     # what the camera chose for this photo has no say
     b = tmp_path / "b.dng"
-    write_dng(b, mosaic(light(0.5), "RGGB", BLACK, WHITE), black=BLACK, white=12000, neutral=(0.5, 1.0, 0.7))
+    write_dng(
+        b,
+        mosaic(light(0.5), "RGGB", BLACK, WHITE),
+        DngTags(black=BLACK, white=12000, neutral=(0.5, 1.0, 0.7)),
+    )
     b_says = develop(b).header
     assert b_says.as_shot is not None and b_says.as_shot == pytest.approx((2, 1, 1 / 0.7), rel=1e-5)
     assert b_says.white == 12000
@@ -183,10 +189,12 @@ def test_folder(tmp_path):
 
 def test_wrong_levels_are_measured(tmp_path):
     raw = mosaic(light(0.1), "RGGB", BLACK, WHITE)
-    write_dng(tmp_path / "black.dng", raw, black=(1500, 1500, 1500, 1500), white=WHITE)  # true is 512
-    write_dng(tmp_path / "none.dng", raw, white=WHITE)
+    write_dng(
+        tmp_path / "black.dng", raw, DngTags(black=(1500, 1500, 1500, 1500), white=WHITE)
+    )  # true is 512
+    write_dng(tmp_path / "none.dng", raw, DngTags(white=WHITE))
     saturated = np.minimum(mosaic(light(2.0), "RGGB", BLACK, 4095), 3800)
-    write_dng(tmp_path / "white.dng", saturated, black=BLACK, white=4095)
+    write_dng(tmp_path / "white.dng", saturated, DngTags(black=BLACK, white=4095))
     high, none, white = (develop(tmp_path / f"{name}.dng") for name in ("black", "none", "white"))
     below = float((raw < 1500 - 0.002 * (WHITE - 1500)).mean())
     assert high.below_black == pytest.approx(below, abs=1e-3) and below > 0.05
@@ -228,6 +236,6 @@ def test_damaged(tmp_path):
         develop_set([(0, tmp_path / "b.dng"), (1, path)], tmp_path / "out", "static")
     other = recipe_for([tmp_path / "b.dng"])
     high = (20000, 20000, 20000, 20000)
-    write_dng(path, mosaic(light(), "RGGB", high, 65535), black=high)
+    write_dng(path, mosaic(light(), "RGGB", high, 65535), DngTags(black=high))
     with refused("raw-levels-differ", "20000", "16383", kind=CaptureError):
         develop(path, other)

@@ -7,7 +7,7 @@ from tests.refused import refused
 
 from devrf.capture.system.errors import FlowError
 from devrf.flow.checks import FlowChecks
-from devrf.flow.clip import clip_flow, gaps_of
+from devrf.flow.clip import ClipPictures, clip_flow, gaps_of
 from devrf.flow.dis import DisFlow
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.given import given
@@ -60,7 +60,8 @@ def run(tmp_path):
         gap = gaps_of("cam0", np.arange(float(count)) if time is None else time)
         method = find or estimated(estimator or DisFlow())
         index = range(count) if index is None else index
-        checks = clip_flow("cam0", index, gap, pictures.__getitem__, size, method, tmp_path, workers=2)
+        filmed = ClipPictures("cam0", index, gap, pictures.__getitem__)
+        checks = clip_flow(filmed, size, method, tmp_path, workers=2)
         return read_flows(tmp_path)["cam0"], checks
 
     return run
@@ -238,7 +239,7 @@ def test_a_stopped_clip_finds_only_what_is_missing(clip, tmp_path):
 
     def make() -> FlowChecks:
         gap = np.zeros(5, bool)
-        return clip_flow("cam0", range(6), gap, clip.__getitem__, (160, 120), find, tmp_path)
+        return clip_flow(ClipPictures("cam0", range(6), gap, clip.__getitem__), (160, 120), find, tmp_path)
 
     first = make()
     whole = {n: pair_path(tmp_path, "cam0", n).read_bytes() for n in range(1, 6)}
@@ -256,6 +257,7 @@ def test_many_threads_find_the_same(clip, tmp_path):
         folder = tmp_path / str(workers)
         gap = np.zeros(5, bool)
         find = estimated(DisFlow())
-        clip_flow("cam0", range(6), gap, clip.__getitem__, (160, 120), find, folder, workers)
+        filmed = ClipPictures("cam0", range(6), gap, clip.__getitem__)
+        clip_flow(filmed, (160, 120), find, folder, workers)
         out[workers] = [pair_path(folder, "cam0", n).read_bytes() for n in range(1, 6)]
     assert out[1] == out[4]

@@ -93,7 +93,7 @@ def test_recorded_burst_is_the_burst_on_the_cameras_clock() -> None:
     there = Microphone(3.43, -0.0123456, 200.0, 0.5)
 
     def hear(microphone: Microphone) -> np.ndarray:
-        return record(np.random.default_rng(1), burst, times_s, microphone, 10.0, 0.0, 0.0).astype(float)
+        return record(np.random.default_rng(1), burst, times_s, microphone, 10.0, (0.0, 0.0)).astype(float)
 
     a, b = hear(here), hear(there)
     for time_s in times_s:
@@ -119,11 +119,11 @@ def test_claps_are_irregular_and_inside() -> None:
 def test_noise_and_reverb_have_the_asked_level() -> None:
     burst = make_burst(np.random.default_rng(0))
     silence = record(
-        np.random.default_rng(0), burst, np.zeros(0), Microphone(1.0, 0.0, 0.0, 1.0), 2.0, 0.02, 0.0
+        np.random.default_rng(0), burst, np.zeros(0), Microphone(1.0, 0.0, 0.0, 1.0), 2.0, (0.02, 0.0)
     )
     assert silence.std() / 32767 / 0.6 == pytest.approx(0.02 * np.sqrt(0.5), rel=0.1)
     clap = record(
-        np.random.default_rng(0), burst, np.array([0.1]), Microphone(0.0, 0.0, 0.0, 1.0), 1.0, 0.0, 0.3
+        np.random.default_rng(0), burst, np.array([0.1]), Microphone(0.0, 0.0, 0.0, 1.0), 1.0, (0.0, 0.3)
     ).astype(float)
     tail = clap[round(0.2 * SAMPLE_RATE_HZ) : round(0.3 * SAMPLE_RATE_HZ)]
     assert 0 < np.abs(tail).max() < 0.3 * np.abs(clap).max()

@@ -135,7 +135,7 @@ def test_faces_look_outward_or_into_the_room() -> None:
 
 def test_textures_differ_by_seed_and_vanish_without_contrast() -> None:
     def make(seed: int, contrast: float) -> np.ndarray:
-        return texture(np.random.default_rng(seed), 60, 80, 0.006, contrast, paint=WALLS[0])
+        return texture(np.random.default_rng(seed), (60, 80), 0.006, contrast, paint=WALLS[0])
 
     np.testing.assert_array_equal(make(0, 1.0), make(0, 1.0))
     assert np.abs(make(0, 1.0).astype(int) - make(1, 1.0)).mean() > 10

@@ -96,7 +96,7 @@ def test_flow_of_a_turning_wall_agrees_with_depth_and_motion(studio: Studio) -> 
 def test_the_picture_before_warped_by_the_flow_is_the_picture_now() -> None:
     studio = Studio(spp=16)
     rng = np.random.default_rng(0)
-    picture = texture(rng, 400, 400, 0.01, 1.0, paint=WOOD, largest_m=0.8, smallest_m=0.3)
+    picture = texture(rng, (400, 400), 0.01, 1.0, paint=WOOD, sizes_m=(0.3, 0.8))
     half = _upright((-2, 2), 1.0, (-2, 2))
     before = Mesh(half.vertices, half.faces, half.uv, picture)
     R = turn("y", 6.0)[:3, :3]  # in its own plane, so that the light on it stays nearly the same

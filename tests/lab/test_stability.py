@@ -20,7 +20,7 @@ from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.case import run_case
 from devrf.lab.bench.stability.damage.intact import Damage, Intact
 from devrf.lab.bench.stability.points import points
-from devrf.lab.bench.stability.suite import run_stability
+from devrf.lab.bench.stability.suite import Extent, run_stability
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.health.judge import entries
 from devrf.pipelines.run_folder.lock import Lock
@@ -192,7 +192,7 @@ def test_no_case_begins_after_the_time_that_was_given(
     late = tmp_path / "late.json"
     moment = SimpleNamespace(monotonic=lambda: 7.0)  # a clock too coarse to tell what went by
     monkeypatch.setattr("devrf.lab.bench.stability.suite.time", moment)
-    run_stability(base, suite[0], ["flow_wrong", "pose_noise", "box_size"], 2, [0], late, minutes=0.0)
+    run_stability(base, suite[0], ["flow_wrong", "pose_noise", "box_size"], Extent(2, [0], 0.0), late)
     content = json.loads(late.read_text())
     assert set(content["left_out"]) == {"flow_wrong", "pose_noise", "box_size"}
     assert "from 30 on nothing was begun after 0 minutes" in content["left_out"]["flow_wrong"]

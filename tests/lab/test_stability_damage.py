@@ -22,7 +22,7 @@ from devrf.capture.video.reader import VideoReader
 from devrf.flow.store import read_pair, write_pair
 from devrf.lab.bench.stability.damage import between, configuration, raw_files
 from devrf.lab.bench.stability.damage.intact import Damage, DoesNotApply, Intact
-from devrf.lab.bench.stability.suite import run_stability
+from devrf.lab.bench.stability.suite import Extent, run_stability
 from devrf.lab.simulate.render.sensor import ClipWriter
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.inputs.training_options import training_options
@@ -278,5 +278,5 @@ def test_a_scene_without_test_camera_is_refused_before_anything_runs(intact: Int
         intact.config.model_copy(update={"capture": capture}), tmp_path, STAGES, Choice(), Talk("quiet")
     )
     with refused("test-camera-missing", "capture.test_cameras", kind=InputError):
-        run_stability(base, tmp_path / "o", ["seeds"], 1, [0], tmp_path / "o/s.json")
+        run_stability(base, tmp_path / "o", ["seeds"], Extent(1, [0]), tmp_path / "o/s.json")
     assert not (tmp_path / "o").exists()

@@ -8,13 +8,14 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.fields.canonical import Canonical
+from devrf.reconstruct.fields.canonical import Canonical, new_canonical
 from devrf.reconstruct.fields.canonical_model import RestModel
-from devrf.reconstruct.fields.contracted_background import Shell
+from devrf.reconstruct.fields.contracted_background import Shell, grey
 from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.fields.movers import Movers
 from devrf.reconstruct.fields.ndc import CUBE, Ndc
+from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rendering.model import DynamicModel
 
 UNIT_BOX = torch.tensor([[-1.0] * 3, [1.0] * 3])
@@ -30,9 +31,10 @@ def canonical(
     aabb: torch.Tensor, resolution: float = 16, final: float | None = None, **special: Any
 ) -> Canonical:
     """A scene at rest of which nothing is known yet; `special`: other numbers than the usual ones."""
-    usual = {"channels": 4, "mlp_width": 8, "stepsize": 0.5, "alpha_init": 1e-2, "alpha_threshold": 1e-4}
-    usual |= {"weight_threshold": 1e-4, "device": "cpu", "seed": 0}
-    return Canonical.new(aabb, resolution, final or resolution, **(usual | special))
+    usual = {"channels": 4, "mlp_width": 8, "alpha_init": 1e-2, "ndc": None} | special
+    alpha_init, ndc = usual.pop("alpha_init"), usual.pop("ndc")
+    options = CanonicalOptions(resolution=final or resolution, iterations=0, rays=0, **usual)  # type: ignore[arg-type]
+    return new_canonical(aabb, resolution, options, alpha_init, "cpu", ndc)
 
 
 def planes(count: int = 32, seed: int = 0) -> Canonical:
@@ -43,7 +45,7 @@ def planes(count: int = 32, seed: int = 0) -> Canonical:
 
 def still(aabb: torch.Tensor, keys: int, resolution: int) -> MotionField:
     """Nothing moves from time 0, that of the rest, to time 1."""
-    return MotionField.still(aabb, keys, resolution, t_first=0.0, t_last=1.0, rest_key=0, device="cpu")
+    return MotionField.still(aabb, keys, resolution, (0.0, 1.0), 0, "cpu")
 
 
 def straight(aabb: torch.Tensor, travel: Any, keys: int = 2, resolution: int = 4) -> MotionField:
@@ -66,7 +68,7 @@ def random_model(background: str = "shell", deferred: bool = False, seed: int = 
     at_rest.net.requires_grad_(False)
     shell = None
     if background == "shell":
-        shell = Shell.new(UNIT_BOX, 12, 12, near=0.3, reach=8.5, device="cpu")
+        shell = Shell(UNIT_BOX, grey(12), 12, near=0.3, reach=8.5).begun()
         shell.grid += torch.randn(shell.grid.shape, generator=g)
         shell.rebuild_occupancy()
     motion = still(UNIT_BOX, 3, 5)
@@ -95,8 +97,7 @@ def moving_ball(background: str = "white", resolution: int = 40) -> DynamicModel
     weights[-1].copy_(torch.logit(torch.tensor(COLOUR)))  # the bias of the output
     shell = None
     if background == "shell":
-        shell = Shell.new(AABB, 12, 12, near=0.3, device="cpu")
-        shell.rebuild_occupancy()
+        shell = Shell(AABB, grey(12), 12, near=0.3).begun()
     motion = straight(AABB, [TRAVEL, 0, 0], KEYS, 6)
     return DynamicModel(RestModel(ball, shell, background, 0.3, 9.0, {}), motion)
 

@@ -15,8 +15,8 @@ from devrf.capture.system.errors import HealthError, InputError
 from devrf.lab.bench.accuracy.simulated_boards import SIZE, SPEC, board_views
 from devrf.pipelines.inputs import board_clips
 from devrf.pipelines.inputs.board_clips import BoardClips
-from devrf.pipelines.stages.rig import rig_stage
 from devrf.pipelines.stages.rig.joint_clips import read_joint_views
+from devrf.pipelines.stages.rig.rig_job import RigJob
 
 TOLD = replace(SPEC, legacy="auto", inverted="auto")
 SETTLED = replace(SPEC, legacy=False, inverted=False)
@@ -55,10 +55,10 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def test_both_routes_together_search_each_clip_once(
     frames: FrameSet, searched: list[str], tmp_path: Path
 ) -> None:
-    job = object.__new__(rig_stage._Job)
+    job = object.__new__(RigJob)
     job.frames, job.boards = frames, {}
     job.clips = BoardClips(tmp_path, frames, TOLD)
-    known = job._clip_calibrations(frames.trained, lambda fraction, message: None)
+    known = job.clip_calibrations(frames.trained, lambda fraction, message: None)
     assert searched == ["own0.mp4", "joint_cam1.mp4"]
     seen = read_joint_views(job.clips, ["cam0", "cam1"], {"cam0": known["cam0"]})
     assert searched == ["own0.mp4", "joint_cam1.mp4", "joint_cam0.mp4"]

@@ -13,7 +13,7 @@ from devrf.capture.colour.light_course import LightCourse
 from devrf.capture.colour.srgb import srgb_from_linear
 from devrf.capture.photos.raw_set import develop_set, read_raw_sidecar
 from devrf.capture.video.video_writer import write_video
-from devrf.lab.simulate.session.dng import mosaic, write_dng
+from devrf.lab.simulate.session.dng import DngTags, mosaic, write_dng
 from devrf.pipelines.health.judge import HealthRow, judge
 from devrf.pipelines.health.light_rows import changes_alike, clip_measures, exposure_measures, raw_measures
 
@@ -31,7 +31,7 @@ def rows_of(tmp_path: Path, files: list[dict]) -> list[HealthRow]:
     """Through the real door: DNG files, developed as ingest does."""
     for n, file in enumerate(files):
         known = {**LEVELS, "raw": mosaic(picture(), "RGGB", LEVELS["black"], LEVELS["white"]), **file}
-        write_dng(tmp_path / f"IMG_{n}.dng", **known)
+        write_dng(tmp_path / f"IMG_{n}.dng", known.pop("raw"), DngTags(**known))
     jobs = [(n, tmp_path / f"IMG_{n}.dng") for n in range(len(files))]
     develop_set(jobs, tmp_path / "out", "static")
     return judge(raw_measures("static", read_raw_sidecar(tmp_path / "out" / "raw" / "static.json")))
@@ -146,7 +146,9 @@ def test_a_session_with_faults_of_light(devrf: Command, tmp_path):
             neutral = (0.5, 1.0, 0.6) if n == 2 else (1.0, 1.0, 1.0)
             exposure_s = 0.02 if n == 2 else 0.01
             write_dng(
-                tmp_path / folder / f"IMG_{n}.dng", raw, neutral=neutral, exposure_s=exposure_s, **LEVELS
+                tmp_path / folder / f"IMG_{n}.dng",
+                raw,
+                DngTags(neutral=neutral, exposure_s=exposure_s, **LEVELS),
             )
     (tmp_path / "scene.yaml").write_text(
         "name: light\noutput: run\ncapture:\n  static: sweep\n"

@@ -42,7 +42,7 @@ class Filmed:
     def rest(self, asked: Rest, moved_px: tuple[int, ...] = FROM_START) -> tuple[float | None, HealthRow]:
         """The time, and the row."""
         clips = self.clips(moved_px)
-        time, seen = rest_time(asked, clips, self.masks, ALWAYS, self.model, 1.0, self.folder)
+        time, seen = rest_time(asked, clips, self.masks, ALWAYS, (self.model, 1.0), self.folder)
         (row,) = judge(seen)
         return time, row
 
@@ -128,4 +128,4 @@ def test_without_a_sweep_the_word_of_the_configuration_holds(
     filmed: Filmed, asked: Rest, shared: tuple[float, float], time: float | None
 ) -> None:
     clips = filmed.clips(FROM_START)
-    assert rest_time(asked, clips, filmed.masks, shared, None, 1.0, filmed.folder) == (time, [])
+    assert rest_time(asked, clips, filmed.masks, shared, None, filmed.folder) == (time, [])

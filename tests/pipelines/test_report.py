@@ -265,10 +265,12 @@ def test_a_section_that_breaks_leaves_the_others(full_run, monkeypatch):
 
 
 def test_a_chart_shows_what_can_be_drawn_and_long_ones_keep_their_spikes():
-    assert line_chart([Series("a", [0.0, 1.0], [float("nan"), 0.0])], "x", "y", log_y=True) is None
+    assert line_chart([Series("a", [0.0, 1.0], [float("nan"), 0.0])], ("x", "y"), log_y=True) is None
     y = np.zeros(20_000)
     y[12_345] = 1.0
-    chart = line_chart([Series("a", np.arange(20_000.0).tolist(), y.tolist())], "x", "y $1 < 2", title=NASTY)
+    chart = line_chart(
+        [Series("a", np.arange(20_000.0).tolist(), y.tolist())], ("x", "y $1 < 2"), title=NASTY
+    )
     assert chart is not None and len(chart.svg) < 15_000 and NASTY not in chart.svg
     assert "y $1 &lt; 2" in chart.svg
     lines = [

@@ -11,9 +11,10 @@ from devrf.capture.scene import SparsePoints
 from devrf.reconstruct.adapt.background_reach import FARTHEST_REACH, reach_of
 from devrf.reconstruct.adapt.hull import box_of, visual_hull
 from devrf.reconstruct.fields.canonical import EMPTY, Canonical, shift_for
-from devrf.reconstruct.fields.contracted_background import CUBE, REACH, Shell
+from devrf.reconstruct.fields.contracted_background import CUBE, REACH, Shell, grey
 from devrf.reconstruct.fields.grids import grid_shape, grown, upsample, vertices, voxel_size
-from devrf.reconstruct.options import PRESETS, preset
+from devrf.reconstruct.options import PRESETS, Overrides, preset
+from devrf.reconstruct.rendering.rays import Rays
 from devrf.reconstruct.rendering.render import Grads, Rendered, render_rest
 
 AABB = torch.tensor([[-1.0, -0.5, -0.25], [1.0, 0.5, 0.25]])
@@ -52,23 +53,19 @@ def test_opacity_of_a_length_does_not_depend_on_resolution() -> None:
     assert alphas[0] == pytest.approx(alphas[1], rel=1e-4)
 
 
-def _rays_into(model: Canonical, n: int = 50) -> dict[str, torch.Tensor]:
+def _rays_into(model: Canonical, n: int = 50) -> Rays:
     """Rays from above through random points of the box, and some that miss it."""
     g = torch.Generator().manual_seed(1)
     through = AABB[0] + (AABB[1] - AABB[0]) * torch.rand(n, 3, generator=g)
     through[::7, 0] += 5.0
     origin = torch.tensor([0.3, 0.2, 3.0]).expand(n, 3).contiguous()
     d = through - origin
-    return {
-        "rays_o": origin,
-        "rays_d": d / d.norm(dim=1, keepdim=True),
-        "jitter": torch.rand(2, n, generator=g),
-    }
+    return Rays(origin, d / d.norm(dim=1, keepdim=True), 0.1, torch.rand(2, n, generator=g))
 
 
 def _rendered(model: Canonical, deferred: bool, grads: Grads = (None, None, None)) -> Rendered:
     model.deferred = deferred
-    return render_rest(model, None, None, **_rays_into(model), near=0.1, grads=grads)
+    return render_rest(model, None, _rays_into(model), grads=grads)
 
 
 def test_deferred_colours_are_those_of_the_samples_where_features_do_not_vary() -> None:
@@ -134,13 +131,13 @@ def test_colour_depends_on_the_view_and_is_the_same_for_the_same_seed() -> None:
     x, ray_id = torch.zeros(2, 3), torch.tensor([0, 1])
     directions = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])
     model = _canonical()
-    colours = model.colour(x, directions, ray_id)
+    colours, again = (m.net(m.features_at(x), directions, ray_id) for m in (model, _canonical()))
     assert (colours[0] - colours[1]).abs().max() > 1e-4
-    torch.testing.assert_close(colours, _canonical().colour(x, directions, ray_id))
+    torch.testing.assert_close(colours, again)
 
 
 def test_shell_is_empty_in_the_box_only() -> None:
-    shell = Shell.new(AABB, 33, 33, near=0.4, device="cpu")
+    shell = Shell(AABB, grey(33), 33, near=0.4).begun()
     y = vertices(CUBE, (33, 33, 33))
     inside = y.abs().amax(-1) < 0.7
     assert (shell.grid[..., 0][inside] == EMPTY).all()
@@ -184,7 +181,9 @@ def test_grown_adds_neighbours_only() -> None:
 
 
 def test_presets_take_single_numbers() -> None:
-    options = preset("tiny", resolution=56, rays=100, canonical_iterations=7, motion_iterations=10, seed=3)
+    options = preset(
+        "tiny", Overrides(resolution=56, rays=100, canonical_iterations=7, motion_iterations=10, seed=3)
+    )
     assert options.canonical.resolution == 56 and options.canonical.rays == options.motion.rays == 100
     assert options.canonical.iterations == 7 and options.canonical.seed == options.motion.seed == 3
     ratio = 56 / PRESETS["tiny"].canonical.resolution

@@ -11,7 +11,7 @@ from tests.make.models import NDC, UNIT_BOX, canonical, still, straight
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.evaluation.confidence import Witnesses, every_nth, subject_seen
 from devrf.reconstruct.fields.canonical_model import RestModel
-from devrf.reconstruct.fields.contracted_background import Shell
+from devrf.reconstruct.fields.contracted_background import Shell, grey
 from devrf.reconstruct.fields.ndc import CUBE
 from devrf.reconstruct.rendering.model import DynamicModel
 
@@ -111,14 +111,13 @@ def test_rooms_and_forward_scenes(ball, kind: str) -> None:
     """Models with surroundings, and those in normalised device coordinates."""
     ndc = NDC if kind == "forward" else None
     aabb = CUBE if ndc else UNIT_BOX
-    model = canonical(aabb, planes=16 if ndc else None, ndc=ndc)
+    model = canonical(aabb, planes=16, ndc=ndc)
     model.density += 4 + 2 * torch.randn(model.density.shape, generator=torch.Generator().manual_seed(0))
     model.rebuild_occupancy()
     model.net.requires_grad_(False)
     shell = None
     if ndc is None:
-        shell = Shell.new(aabb, 12, 12, near=0.3, device="cpu")
-        shell.rebuild_occupancy()
+        shell = Shell(aabb, grey(12), 12, near=0.3).begun()
     rest = RestModel(model, shell, "white" if ndc else "shell", 0.3, 9.0, {})
     motion = still(aabb, 3, 4)
     motion.backward[1:] += 0.05

@@ -11,7 +11,7 @@ from tests.make.scenes import scene_of
 
 from devrf.capture.camera import Camera
 from devrf.capture.scene import PosedFrame, Scene
-from devrf.reconstruct.evaluation.evaluate import LpipsNets, evaluate, motion_psnr
+from devrf.reconstruct.evaluation.evaluate import Known, LpipsNets, evaluate, motion_psnr
 
 WIDTH, HEIGHT, SCALE = 100, 80, 0.5
 TIMES = (0.0, 0.5, 1.0)
@@ -166,7 +166,7 @@ def test_a_test_camera_that_moves_shows_nothing_at_rest(scene, tmp_path):
 def test_masks_of_the_truth_say_what_moves(scene, tmp_path):
     masks = np.zeros((7, HEIGHT, WIDTH), dtype=bool)
     masks[3, 40:60, 20:60] = True
-    out = evaluate(scene, model(0.01)[0], NO_LPIPS, tmp_path, masks={"witness": masks})
+    out = evaluate(scene, model(0.01)[0], NO_LPIPS, tmp_path, known=Known({"witness": masks}))
     shares = [row.get("moving", {}).get("share") for row in out["per_view"] if row["camera"] == "witness"]
     assert shares == [None, 0.1, None]
 
@@ -236,7 +236,7 @@ def found(offset_s: float | None, why: str = "") -> dict:
 
 def test_a_clock_that_was_found_is_scored_beside_the_calibrated_one(late: Scene, tmp_path) -> None:
     plain = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "a")
-    out = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "b", test_clocks=found(2 * LATE))
+    out = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "b", known=Known(test_clocks=found(2 * LATE)))
     retimed, base = out.pop("test_moving_retimed"), out["static_baseline"].pop("test_moving_retimed")
     rows = {row["index"]: row.pop("retimed", None) for row in out["per_view"] if row["camera"] == "witness"}
     for result in (plain, out):
@@ -257,14 +257,18 @@ def test_a_clock_that_was_found_is_scored_beside_the_calibrated_one(late: Scene,
 def test_the_pictures_that_are_scored_do_not_depend_on_the_clock(late: Scene, tmp_path) -> None:
     sets = []
     for n, offset_s in enumerate((-1.5, 0.1, 1.5)):
-        out = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / str(n), test_clocks=found(offset_s))
+        out = evaluate(
+            late, model(0.01)[0], NO_LPIPS, tmp_path / str(n), known=Known(test_clocks=found(offset_s))
+        )
         sets.append([row["index"] for row in out["per_view"] if "retimed" in row])
         assert out["test_moving"]["views"] == 10
     assert sets[0] == sets[1] == sets[2] == [1, 3, 5, 7, 9]
 
 
 def test_a_clock_that_is_not_clear_has_no_second_number(late: Scene, tmp_path) -> None:
-    out = evaluate(late, model(0.01)[0], NO_LPIPS, tmp_path / "a", test_clocks=found(None, "not clear"))
+    out = evaluate(
+        late, model(0.01)[0], NO_LPIPS, tmp_path / "a", known=Known(test_clocks=found(None, "not clear"))
+    )
     for block in (out["test_moving_retimed"], out["static_baseline"]["test_moving_retimed"]):
         assert block["psnr"] is None and "witness: not clear" in block["why"]["psnr"] and block["views"] == 0
     assert out["test_moving_retimed"]["offsets_ms"] == {"witness": None}

@@ -7,7 +7,7 @@ from tests.make.models import before_random_model, planes, random_model
 
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.fields.grids import vertices
-from devrf.reconstruct.geometry.field import AT_ONCE, Field, field_at
+from devrf.reconstruct.geometry.field import AT_ONCE, Field, field_at, opacity, opacity_grid
 from devrf.reconstruct.rendering.model import DynamicModel, render_layers
 from devrf.reconstruct.rendering.rays import camera_rays
 from devrf.reconstruct.rendering.render import segments_in
@@ -71,11 +71,11 @@ def test_a_grid_is_asked_block_by_block() -> None:
     field = field_at(random_model(), 0.4)
     shape = (40, 120, 130)  # three blocks, the last one smaller
     assert 2 * AT_ONCE < np.prod(shape)
-    grid = field.opacity_grid(shape)
+    grid = opacity_grid(field, shape)
     x = vertices(field.aabb, shape).reshape(-1, 3)
     some = torch.randint(len(x), (1000,), generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(grid.reshape(-1)[some], field.opacity(x[some]))
-    assert (field.opacity(x[some] + 3.0) == 0).all()  # beyond the box there is nothing
+    torch.testing.assert_close(grid.reshape(-1)[some], opacity(field, x[some]))
+    assert (opacity(field, x[some] + 3.0) == 0).all()  # beyond the box there is nothing
 
 
 def test_there_and_back() -> None:

@@ -23,10 +23,10 @@ from devrf.reconstruct.options import MotionOptions
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.training import fine_tune as fine_tuning
 from devrf.reconstruct.training.guard import MOST, SMALLER, Guard
+from devrf.reconstruct.training.loop import Step, TrainingRun
 from devrf.reconstruct.training.train_canonical import _Recipe as RestRecipe
 from devrf.reconstruct.training.train_canonical import train_canonical
-from devrf.reconstruct.training.train_motion import _Recipe as MotionRecipe
-from devrf.reconstruct.training.train_motion import train_motion
+from devrf.reconstruct.training.train_motion import _Key, train_motion
 
 QUICK = replace(REST, iterations=30, scale_at=(0.5,), occupancy_every=10)
 MOTION = MotionOptions(
@@ -163,7 +163,7 @@ def test_a_leap_is_not_kept_as_a_good_point(
     """Filled two steps before the point at iteration 10, between two looks."""
     step, steps = RestRecipe.step, count(1)
 
-    def filled(recipe: RestRecipe, *args: Any) -> dict[str, torch.Tensor]:
+    def filled(recipe: RestRecipe, *args: Any) -> Step:
         parts = step(recipe, *args)
         if next(steps) == 8:
             recipe.canonical.density.fill_(50.0)
@@ -201,7 +201,9 @@ def test_the_scene_at_rest_comes_through_steps_thirty_times_too_large(
     assert caught.metrics["restarts"] >= 1 and "0.33 times" in caplog.text
     assert caught.metrics["train_psnr"] > good_rest.metrics["train_psnr"] - 1.5
     deaths = {("", done) for done in (2, 4, 11, 17)}
-    again = until_done(lambda state: train_canonical(ball.scene, wild, checkpoint=state), tmp_path, deaths)
+    again = until_done(
+        lambda state: train_canonical(ball.scene, wild, run=TrainingRun(checkpoint=state)), tmp_path, deaths
+    )
     assert torch.equal(caught.canonical.density, again.canonical.density)
     assert again.metrics["restarts"] == caught.metrics["restarts"]
 
@@ -217,7 +219,9 @@ def test_motion_comes_through_steps_a_hundred_times_too_large(
     assert caught["restarts"] >= 1 and caught["keys_left"] == 0
     assert caught["train_psnr"] > good["train_psnr"] - 1.5
     again, _ = until_done(
-        lambda state: train_motion(ball.scene, rest, {}, wild, checkpoint=state), tmp_path, {("", 1)}
+        lambda state: train_motion(ball.scene, rest, {}, wild, run=TrainingRun(checkpoint=state)),
+        tmp_path,
+        {("", 1)},
     )
     assert torch.equal(motion.backward, again.backward)
 
@@ -248,15 +252,15 @@ def test_a_motion_that_is_no_number_is_not_kept(
     ball, rest: RestModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where no ray looks that is asked."""
-    step, steps = MotionRecipe.step, count(1)
+    step, steps = _Key.step, count(1)
 
-    def spoilt(recipe: MotionRecipe) -> dict[str, torch.Tensor]:
-        parts = step(recipe)
+    def spoilt(key: _Key) -> dict[str, torch.Tensor]:
+        parts = step(key)
         if next(steps) == 3:
-            recipe.window.backward[recipe.key, 0, 0, 0] = float("nan")
+            key.window.backward[key.key, 0, 0, 0] = float("nan")
         return parts
 
-    monkeypatch.setattr(MotionRecipe, "step", spoilt)
+    monkeypatch.setattr(_Key, "step", spoilt)
     motion, metrics = train_motion(ball.scene, rest, {}, MOTION)
     assert metrics["restarts"] == 1 and motion.backward.isfinite().all()
 

@@ -6,7 +6,7 @@ import torch
 from tests.make import models
 from tests.reconstruct.conftest import look_at
 
-from devrf.reconstruct.fields.canonical import EMPTY, Canonical
+from devrf.reconstruct.fields.canonical import EMPTY, Canonical, occupied_in
 from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.geometry.seen import SeenView
 from devrf.reconstruct.tracking.hidden import fill, hidden_at_rest, labels_of_hidden
@@ -86,7 +86,7 @@ def test_what_is_filled_is_opaque_in_the_colours_next_to_it(canonical: Canonical
     before = canonical.features.clone()
     own = canonical.only(shown)
     fill(own, shown, torch.zeros_like(filled))
-    assert own.features is canonical.features and not own.occupied()[inside(canonical, 0.1) & filled].any()
+    assert own.features is canonical.features and not occupied_in(own)[inside(canonical, 0.1) & filled].any()
     fill(own, shown, filled)
     middle = inside(canonical, 0.06) & filled
     assert float(own.alpha(places[middle]).min()) > 0.45

@@ -328,7 +328,7 @@ def test_one_vector_of_parameters_is_trained_as_torch_does() -> None:
 
 def test_trainings_do_without_the_optimisers_of_torch() -> None:
     """Importing them takes two seconds of each process."""
-    code = "import sys, torch, devrf.reconstruct.training.train_deformation; "
+    code = "import sys, torch, devrf.reconstruct.recipe; "
     code += (
         "from devrf.reconstruct.fields.flat_adam import FlatAdam; FlatAdam(torch.nn.Linear(2, 2)).step(0.1); "
     )

@@ -31,13 +31,14 @@ PEAK = """
 import json, pickle, sys
 from pathlib import Path
 from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
 
 def of_status(key):
     return next(int(l.split()[1]) * 1024 for l in Path("/proc/self/status").open() if l.startswith(key))
 
 scene, options = pickle.loads(Path(sys.argv[1]).read_bytes())
-train_canonical(scene, options, checkpoint=Checkpoint(Path(sys.argv[1] + ".state"), every_s=0.0))
+train_canonical(scene, options, run=TrainingRun(checkpoint=Checkpoint(Path(sys.argv[1] + ".state"), every_s=0.0)))
 print(json.dumps(of_status("VmHWM")))
 """
 
@@ -204,9 +205,7 @@ def test_size_of_a_scene(ball) -> None:
 def test_rays_in_parts_have_the_same_gradient(ball) -> None:
     """After one iteration Adam has moved every value by its rate, so the second tells."""
     options = replace(REST, iterations=2, lr_grid=0.1, learning_rate=0.1)
-    whole, parted = (
-        train_canonical(ball.scene, replace(options, parts=parts), "cpu").canonical for parts in (1, 3)
-    )
+    whole, parted = (train_canonical(ball.scene, replace(options, parts=parts)).canonical for parts in (1, 3))
     moved = whole.density.abs() > 0
     assert bool(moved.any()) and torch.equal(moved, parted.density.abs() > 0)
     apart = (whole.density - parted.density).abs()

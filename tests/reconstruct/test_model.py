@@ -14,11 +14,11 @@ def test_a_full_gpu_is_tried_again_with_fewer_rays(monkeypatch: pytest.MonkeyPat
     expected = render_view(random_model("white"), camera, None)
     render_rest, most, tried = models.render_rest, 1 << 10, []
 
-    def full(canonical, shell, plain, rays_o, rays_d, **options):
-        tried.append(len(rays_o))
-        if len(rays_o) > most:
+    def full(canonical, behind, rays):
+        tried.append(len(rays.o))
+        if len(rays.o) > most:
             raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 3.00 GiB")
-        return render_rest(canonical, shell, plain, rays_o, rays_d, **options)
+        return render_rest(canonical, behind, rays)
 
     monkeypatch.setattr(models, "render_rest", full)
     model = random_model("white")

@@ -21,6 +21,7 @@ from devrf.capture.scene import Scene
 from devrf.flow.dis import DisFlow
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.health.training_rows import moved_clock_measures, mover_measures
+from devrf.reconstruct import recipe
 from devrf.reconstruct.adapt.sizing import Decision
 from devrf.reconstruct.evaluation.left_out import left_out
 from devrf.reconstruct.evaluation.left_out_errors import Errors, errors_in_motion
@@ -37,7 +38,7 @@ from devrf.reconstruct.kernels.layers import march_layers, march_layers_ref
 from devrf.reconstruct.options import PRESETS, MotionOptions
 from devrf.reconstruct.rendering.layered import draw_layered, render_layered
 from devrf.reconstruct.rendering.model import DynamicModel, render_layers, render_view
-from devrf.reconstruct.rendering.rays import camera_rays
+from devrf.reconstruct.rendering.rays import Rays, camera_rays
 from devrf.reconstruct.sampling.clean_plate import standing_clips
 from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.storage.model_io import load_deformation, save_deformation, save_rest
@@ -46,7 +47,8 @@ from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.training.guard import diverged
-from devrf.reconstruct.training.train_deformation import DOUBTED_DB, train_deformation
+from devrf.reconstruct.training.loop import TrainingRun
+from devrf.reconstruct.training.moving_parts import DOUBTED_DB
 from devrf.reconstruct.training.train_movers import Trained, _Recipe, train_movers, untrained_errors
 
 TURN = np.array([0.2, -0.3, 0.4])
@@ -161,13 +163,13 @@ def test_gradients_are_those_of_differences(rest: RestModel) -> None:
     light = Shading.none(own.aabb, 0.0, 1.0, torch.device("cpu"))
     movers.shading = light
     o, d = (x[300:1500:7].contiguous() for x in camera_rays(look_at(np.array([0.3, 2.4, 0.5]))))
-    frame, middle = torch.zeros(len(o), dtype=torch.int64), torch.full((len(o),), 0.5)
+    rays = Rays.middle(o, d, 0.5, torch.zeros(len(o), dtype=torch.int64))
     placed = movers.placed(torch.tensor([0.3]))
     grids = stands.density, stands.features, own.density, own.features
     grads = Fields(*(torch.zeros_like(grid) for grid in grids))
 
     def loss(given: Fields | None = None) -> torch.Tensor:
-        return render_layered(stands, movers, placed, frame, o, d, 0.5, middle, given).rgb.sum()
+        return render_layered(stands, movers, placed, rays, given).rgb.sum()
 
     loss(grads).backward()
     for grid, grad in ((stands.density, grads.density), (own.density, grads.own_density)):
@@ -254,15 +256,14 @@ def test_rays_composited_in_one_launch_are_those_of_their_samples(
     grid = torch.randn(Shading.none(stands.aabb, 0.1, 0.7, torch.device("cpu")).grid.shape)
     movers.shading = light = Shading(stands.aabb * 0.8, 0.1, 0.7, 0.3 * grid)
     corrections = Corrections(movers, torch.tensor([0.05, 0.6]))
-    middle = torch.full((len(o),), 0.5)
-    by = torch.randn(len(o), 4)
+    rays, by = Rays.middle(o, d, 0.5, frame), torch.randn(len(o), 4)
     grids = stands.density, stands.features, movers.canonical.density, movers.canonical.features
 
     def seen(warp: bool) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """Results, and gradients of all that is trained."""
         monkeypatch.setattr(layered_module, "use_warp", lambda device: warp)
         grads = Fields(*(torch.zeros_like(x) for x in grids))
-        found = render_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle, grads)
+        found = render_layered(stands, movers, corrections.placed(), rays, grads)
         light.grid.grad = corrections.values.grad = None
         (by * torch.cat([found.rgb, found.left[:, None]], 1)).sum().backward()
         assert light.grid.grad is not None and corrections.values.grad is not None
@@ -277,7 +278,7 @@ def test_rays_composited_in_one_launch_are_those_of_their_samples(
         assert float((a - b).norm()) < 1e-3 * float(b.norm())
     for warp in (True, False):
         monkeypatch.setattr(layered_module, "use_warp", lambda device, warp=warp: warp)
-        alone = draw_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle)
+        alone = draw_layered(stands, movers, corrections.placed(), rays)
         for a, b in zip(alone, ours, strict=True):
             torch.testing.assert_close(a, b.detach(), rtol=1e-3, atol=1e-4)
 
@@ -314,7 +315,8 @@ def test_gradients_of_corrections_are_those_of_differences(
     monkeypatch.setattr(layered_module, "march_layers", lambda *arguments: samples)  # it has no gradient
 
     def loss() -> torch.Tensor:
-        seen = render_layered(stands, movers, corrections.placed(), frame, o, d, 0.5, middle)
+        rays = Rays(o, d, 0.5, middle, frame)
+        seen = render_layered(stands, movers, corrections.placed(), rays)
         return (wanted * seen.rgb).sum()
 
     loss().backward()
@@ -340,7 +342,8 @@ def test_training_corrects_where_parts_are(session: Scene, rest: RestModel) -> N
     shifts = model.movers.shifts.clone()
     shifts[1:] += off
     wrong = replace(model.movers, shifts=shifts)
-    trained = train_movers(session, rest, model.in_motion.canonical, wrong, replace(OPTIONS, together=100))
+    pictures = MovingPictures(session, rest, "cpu")
+    trained = train_movers(pictures, model.in_motion.canonical, wrong, replace(OPTIONS, together=100))
     left = (trained.movers.shifts - model.movers.shifts)[1:].norm(dim=-1)
     assert float(left.mean()) < 0.6 * float(off.norm())
 
@@ -434,7 +437,8 @@ def test_training_together_gains_over_nothing_moves(session: Scene, rest: RestMo
     model = whole(rest, TRAVEL)
     assert model.movers is not None and model.in_motion is not None
     before = model.movers.canonical.density.clone()
-    trained = train_movers(session, rest, model.in_motion.canonical, model.movers, OPTIONS)
+    pictures = MovingPictures(session, rest, "cpu")
+    trained = train_movers(pictures, model.in_motion.canonical, model.movers, OPTIONS)
     assert trained.errors.gain_db(trained.errors_at_rest) > 5
     assert trained.unshaded_errors.gain_db(trained.errors_at_rest) > 5
     assert torch.equal(model.movers.canonical.density, before)  # nobody else's is changed
@@ -450,8 +454,8 @@ def test_what_moves_for_longer_is_trained_for_longer_and_has_more_moments_of_sha
 ) -> None:
     stands, own, labels = halves(rest)
     scene = replace(session, t0_s=1.0, t1_s=1.0 + seconds)
-    recipe = _Recipe(scene, rest, stands, still(own, labels), OPTIONS, MovingPictures(scene, rest, "cpu"), {})
-    assert recipe.iterations == iterations and recipe.shading.grid.shape[1] == keys
+    training = _Recipe(MovingPictures(scene, rest, "cpu"), stands, still(own, labels), OPTIONS, {})
+    assert training.iterations == iterations and training.shading.grid.shape[1] == keys
 
 
 @pytest.mark.full
@@ -462,12 +466,12 @@ def test_killed_it_goes_on_bit_for_bit(
     model = whole(rest, TRAVEL)
     assert model.movers is not None and model.in_motion is not None
     stands, movers = model.in_motion.canonical, model.movers
-    options = replace(OPTIONS, together=8)
+    options, pictures = replace(OPTIONS, together=8), MovingPictures(session, rest, "cpu")
 
     def train(state):
-        return train_movers(session, rest, stands, movers, options, checkpoint=state)
+        return train_movers(pictures, stands, movers, options, run=TrainingRun(checkpoint=state))
 
-    once = train_movers(session, rest, stands, movers, options)
+    once = train_movers(pictures, stands, movers, options)
     again = until_done(train, tmp_path, {("", done) for done in (3, 6)})
     assert torch.equal(once.movers.canonical.density, again.movers.canonical.density)
     assert torch.equal(once.stands.canonical.features, again.stands.canonical.features)
@@ -496,10 +500,10 @@ def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
     ) -> Found:
         one = found(travel, offsets_s or {})
         monkeypatch.setattr(
-            "devrf.reconstruct.training.train_deformation.why_not_tracked", lambda scene, rest: None
+            "devrf.reconstruct.training.moving_parts.why_not_tracked", lambda scene, rest: None
         )
         monkeypatch.setattr(
-            "devrf.reconstruct.training.train_deformation.find_movers", lambda *arguments: (one, [*decisions])
+            "devrf.reconstruct.training.moving_parts.find_movers", lambda *arguments: (one, [*decisions])
         )
         return one
 
@@ -533,12 +537,12 @@ def test_why_nothing_is_tracked_is_said(
     rest = replace(rest, canonical=copy.copy(rest.canonical))
     rest.canonical.ndc = ndc
     monkeypatch.setattr(
-        "devrf.reconstruct.training.train_deformation._field",
+        "devrf.reconstruct.recipe.motion_field",
         lambda *arguments: (DynamicModel(rest), {"decisions": []}),
     )
-    (decision,) = train_deformation(scene_is(scene), rest, {}, OPTIONS, estimator=DisFlow)[1]["decisions"]
+    (decision,) = recipe.motion(scene_is(scene), rest, {}, OPTIONS, estimator=DisFlow)[1]["decisions"]
     assert decision.startswith("movers: none instead of tracked") and word in decision
-    _, metrics = train_deformation(scene_is(scene), rest, {}, PRESETS["reference"].motion, estimator=DisFlow)
+    _, metrics = recipe.motion(scene_is(scene), rest, {}, PRESETS["reference"].motion, estimator=DisFlow)
     assert metrics["decisions"] == []
 
 
@@ -575,7 +579,7 @@ def test_what_appears_in_empty_air_is_not_tracked(session: Scene, rest: RestMode
 
 def test_movers_are_taken_where_they_explain_the_pictures(session: Scene, rest: RestModel, tracked) -> None:
     tracked(TRAVEL)
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    model, metrics = recipe.motion(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None and model.in_motion is not None and model.motion is not None
     assert metrics["parts"] == 1 and metrics["points"] == 3 and metrics["keys"] == 3
     assert metrics["largest_motion"] == pytest.approx(np.linalg.norm(TRAVEL))
@@ -602,7 +606,7 @@ def errors(by_db: float, spread_db: float = 0.0) -> Errors:
 def test_clocks_are_those_of_tracking(session: Scene, rest: RestModel, tracked) -> None:
     moved = Decision("clocks", "cam1 +20 ms", "as they are", "because")
     tracked(TRAVEL, {"cam1": 0.02}, [moved])
-    _, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    _, metrics = recipe.motion(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert metrics["decisions"][0] == str(moved) and metrics["clock_offsets_s"] == {"cam1": 0.02}
 
 
@@ -626,11 +630,9 @@ def test_parts_are_soft_where_that_explains_more_than_chance(
     tracks = replace(found.tracks, xyz=way, lost=np.zeros(way.shape[:2], bool))
     surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
     found = replace(found, surface=surface, tracks=tracks, labels=np.zeros(len(xyz), int))
-    monkeypatch.setattr(
-        "devrf.reconstruct.training.train_deformation.find_movers", lambda *arguments: (found, [])
-    )
+    monkeypatch.setattr("devrf.reconstruct.training.moving_parts.find_movers", lambda *arguments: (found, []))
     session = ball_clips(ball, tmp_path, 2 * TIMES + 1, TRAVEL, stretch)
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    model, metrics = recipe.motion(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is not None
     (decision,) = metrics["decisions"]
     assert decision.startswith("parts: soft instead of rigid" if soft else "parts: rigid instead of soft")
@@ -643,9 +645,7 @@ def test_what_moves_as_found_has_a_smaller_error_before_training(
 ) -> None:
     found, away = tracked(TRAVEL), tracked(-TRAVEL)
     motions, boxed = [found.movers, away.movers], session.in_box_frame()
-    right, wrong = untrained_errors(
-        boxed, rest, found.stands, motions, OPTIONS, MovingPictures(boxed, rest, "cpu")
-    )
+    right, wrong = untrained_errors(MovingPictures(boxed, rest, "cpu"), found.stands, motions, OPTIONS)
     assert 0 < right.mean < wrong.mean / 2 and right.gain_over(wrong).side() > 0
 
 
@@ -654,9 +654,9 @@ def test_pixels_left_out_are_the_same_with_other_clocks(session: Scene, rest: Re
     found = tracked(TRAVEL)
     scene = replace(session.in_box_frame(), t0_s=0.0, t1_s=1.0)
     options, offset_s = replace(OPTIONS, together=1), 1.5 / (TIMES - 1)
-    parts = found.stands, found.movers, options
-    as_it_is = train_movers(scene, rest, *parts)
-    moved = train_movers(scene, rest, *parts, offsets_s={"cam1": offset_s})
+    parts, pictures = (found.stands, found.movers, options), MovingPictures(scene, rest, "cpu")
+    as_it_is = train_movers(pictures, *parts)
+    moved = train_movers(pictures, *parts, offsets_s={"cam1": offset_s})
     gone = set(as_it_is.errors.pictures) - set(moved.errors.pictures)
     assert gone == {("cam1", TIMES - 2), ("cam1", TIMES - 1)}
     pixels = dict(zip(as_it_is.errors.pictures, as_it_is.errors.pixels.tolist(), strict=True))
@@ -686,7 +686,7 @@ def test_a_field_is_trained_too_where_movers_explain_little(
     field: Errors | None,
 ) -> None:
     tracked(TRAVEL)
-    model, module = whole(rest, TRAVEL), "devrf.reconstruct.training.train_deformation."
+    model, module = whole(rest, TRAVEL), "devrf.reconstruct.training.moving_parts."
     assert model.movers is not None and model.in_motion is not None
     trained = Trained(model.in_motion, model.movers, errors(1), errors(0), errors(-parts_db), COST)
     asked, learn = (
@@ -694,9 +694,9 @@ def test_a_field_is_trained_too_where_movers_explain_little(
         Mock(return_value=(DynamicModel(rest), {**COST, "decisions": []})),
     )
     monkeypatch.setattr(module + "train_movers", lambda *_: trained)
-    monkeypatch.setattr(module + "_field", learn)
-    monkeypatch.setattr(module + "errors_in_motion", asked)
-    found, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    monkeypatch.setattr("devrf.reconstruct.recipe.motion_field", learn)
+    monkeypatch.setattr("devrf.reconstruct.recipe.errors_in_motion", asked)
+    found, metrics = recipe.motion(session, rest, {}, OPTIONS, estimator=DisFlow)
     if field is None:
         assert found.movers is not None and not learn.called and metrics["iterations"] == 5
         return
@@ -729,14 +729,14 @@ def test_a_field_that_competes_leaves_out_what_movers_leave_out(
     tracked(-TRAVEL)
     monkeypatch.setattr(train_motion_module, "PixelSurroundings", Spy)
     options = replace(OPTIONS, iterations=(4,), together=1, one_camera=one_camera, rays=256)
-    train_deformation(session, rest, {}, options, estimator=DisFlow if competes else None)
+    recipe.motion(session, rest, {}, options, estimator=DisFlow if competes else None)
     assert len(drawn) > 8 and any(bool(rays.any()) for rays in drawn) == (not competes)
 
 
 @pytest.mark.full
 def test_movers_that_explain_nothing_give_way_to_a_field(session: Scene, rest: RestModel, tracked) -> None:
     tracked(-TRAVEL)  # the other way
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    model, metrics = recipe.motion(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and model.motion is not None
     assert len(metrics["decisions"]) == 1 and "movers" in metrics["decisions"][0]
     assert list(mover_measures(metrics)) == []
@@ -749,7 +749,7 @@ def test_a_scene_in_which_nothing_moves_costs_nothing(
     scene = ball_clips(ball, tmp_path, 5, 0 * TRAVEL)
     small = {"levels": (4,), "iterations": (2,), "rays": 64, "keys": 3}
     options = replace(PRESETS[preset].motion, **small)
-    model, metrics = train_deformation(scene, rest, {}, options)
+    model, metrics = recipe.motion(scene, rest, {}, options)
     said = [line for line in metrics["decisions"] if line.startswith("key times to train: none instead of 2")]
     if preset == "reference":
         assert metrics["iterations"] == 4 and not metrics["decisions"]
@@ -793,6 +793,6 @@ def test_movers_whose_training_diverges_give_way_to_a_field(
         raise diverged("the loss")
 
     tracked(TRAVEL)
-    monkeypatch.setattr("devrf.reconstruct.training.train_deformation.train_movers", runs_away)
-    model, metrics = train_deformation(session, rest, {}, OPTIONS, estimator=DisFlow)
+    monkeypatch.setattr("devrf.reconstruct.training.moving_parts.train_movers", runs_away)
+    model, metrics = recipe.motion(session, rest, {}, OPTIONS, estimator=DisFlow)
     assert model.movers is None and "training diverged" in metrics["decisions"][0]

@@ -5,6 +5,7 @@ import pytest
 import torch
 from tests.make.models import NDC, planes
 
+from devrf.reconstruct.fields.canonical import refine
 from devrf.reconstruct.fields.grids import grid_shape
 from devrf.reconstruct.fields.ndc import CUBE, NEAR
 from devrf.reconstruct.kernels.composite import composite_weights
@@ -75,7 +76,7 @@ def test_planes_start_equally_likely_to_stop_a_ray(count: int) -> None:
 def test_planes_stay_when_the_grid_is_refined() -> None:
     model = planes(16)
     before, step = model.shape, model.step
-    model.refine(48)
+    refine(model, 48)
     assert model.shape[2] == before[2] == 16 and model.shape[0] > 2 * before[0]
     assert model.step == pytest.approx(step)
     assert grid_shape(CUBE, 256, 128) == (362, 362, 128)  # the published program's 256^3 over 128 planes

@@ -14,10 +14,11 @@ from tests.reconstruct.conftest import around, look_at
 
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.capture.system.errors import InputError, ReconstructError
+from devrf.capture.system.progress import no_progress
 from devrf.reconstruct.options import preset
-from devrf.reconstruct.rendering.model import render_view
+from devrf.reconstruct.rendering.model import moments_of, render_view
 from devrf.reconstruct.training import own_motion
-from devrf.reconstruct.training.train_deformation import train_deformation
+from devrf.reconstruct.training.own_motion import fit_own
 
 OPTIONS = replace(preset("tiny").motion, keys=3, levels=(8,), iterations=(1,))
 
@@ -48,8 +49,8 @@ def test_the_model_of_the_page_finds_the_velocity(clips: Scene, monkeypatch: pyt
     exec(code, names)
     adds(monkeypatch, names["create"])
     rest = moving_ball(resolution=20).rest
-    model, metrics = train_deformation(clips, rest, {}, OPTIONS, own="mine")
-    assert model.motion is not None and model.motion.key_times == [0.0, 0.5, 1.0] == model.moments
+    model, metrics = fit_own("mine", clips, rest, {}, OPTIONS, no_progress)
+    assert model.motion is not None and model.motion.key_times == [0.0, 0.5, 1.0] == moments_of(model)
     ways = model.motion.forward[:, 0, 0, 0].numpy()
     np.testing.assert_allclose(ways, np.outer([0, 0.5, 1], [TRAVEL, 0, 0]), atol=1e-6)
     assert metrics["keys"] == 3 and metrics["pictures"] == 6 and metrics["rate"] == 1
@@ -78,5 +79,5 @@ def test_a_model_that_cannot_be_used_is_named(
 ) -> None:
     adds(monkeypatch, create)
     with pytest.raises(kind) as error:
-        train_deformation(clips, moving_ball(resolution=20).rest, {}, OPTIONS, own="mine")
+        fit_own("mine", clips, moving_ball(resolution=20).rest, {}, OPTIONS, no_progress)
     assert error.value.code == code and "mine" in str(error.value)

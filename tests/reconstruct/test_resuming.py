@@ -20,13 +20,14 @@ from torch import Tensor
 
 from devrf.capture.scene import Scene
 from devrf.capture.system.errors import OutOfTime
+from devrf.reconstruct import recipe
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.training import fine_tune as fine_tuning
 from devrf.reconstruct.training import train_motion as motion_training
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
-from devrf.reconstruct.training.train_deformation import train_deformation
 
 SHORT = replace(
     REST,
@@ -77,7 +78,9 @@ def _timeless(metrics: dict[str, Any]) -> dict[str, Any]:
 
 def _assert_same_rest(scene: Scene, options: CanonicalOptions, folder: Path, deaths: set) -> None:
     undisturbed = train_canonical(scene, options)
-    resumed = until_done(lambda state: train_canonical(scene, options, checkpoint=state), folder, deaths)
+    resumed = until_done(
+        lambda state: train_canonical(scene, options, run=TrainingRun(checkpoint=state)), folder, deaths
+    )
     _assert_same(_tensors(undisturbed), _tensors(resumed))
     assert _timeless(undisturbed.metrics) == _timeless(resumed.metrics)
 
@@ -113,9 +116,9 @@ def test_motion_and_fine_tuning(
         monkeypatch.setattr(fine_tuning, "_windows", lambda motion, device: windows)
 
     def train(state: Checkpoint):
-        return train_deformation(ball.scene, rest, {}, MOTION, checkpoint=state)
+        return recipe.motion(ball.scene, rest, {}, MOTION, run=TrainingRun(checkpoint=state))
 
-    model, metrics = train_deformation(ball.scene, rest, {}, MOTION)
+    model, metrics = recipe.motion(ball.scene, rest, {}, MOTION)
     deaths = {("", done) for done in (1, 3, 5, 6)} | {("fine-tuning", done) for done in (1, 4, 6, 8)}
     again, metrics_again = until_done(train, tmp_path, deaths)
     assert model.motion is not None and again.motion is not None
@@ -134,7 +137,7 @@ def test_without_time_it_does_a_step_and_goes_on(ball, tmp_path: Path) -> None:
     while True:
         try:
             state = Checkpoint(tmp_path / "state", "this training", until=time.monotonic())
-            resumed = train_canonical(ball.scene, options, checkpoint=state)
+            resumed = train_canonical(ball.scene, options, run=TrainingRun(checkpoint=state))
         except OutOfTime as error:
             stops += 1
             assert error.code == "out-of-time" and f"step {stops} of 6" in str(error)
@@ -168,9 +171,11 @@ def test_damaged_checkpoint_means_to_begin_anew(
 ) -> None:
     options = replace(SHORT, iterations=8)
     state = Checkpoint(tmp_path / "state", "this training", every_s=0.0)
-    undisturbed = train_canonical(ball.scene, options, checkpoint=state)
+    undisturbed = train_canonical(ball.scene, options, run=TrainingRun(checkpoint=state))
     damage(tmp_path / "state")
-    resumed = train_canonical(ball.scene, options, checkpoint=Checkpoint(tmp_path / "state", "this training"))
+    resumed = train_canonical(
+        ball.scene, options, run=TrainingRun(checkpoint=Checkpoint(tmp_path / "state", "this training"))
+    )
     (said,) = (record for record in caplog.records if record.levelname == "WARNING")
     assert str(tmp_path / "state") in said.getMessage()
     _assert_same(_tensors(undisturbed), _tensors(resumed))
@@ -183,10 +188,12 @@ from pathlib import Path
 from safetensors.torch import save_file
 from tests.reconstruct.test_resuming import SHORT, _tensors
 from devrf.reconstruct.storage.checkpoint import Checkpoint
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
 
 scene, folder = pickle.loads(Path(sys.argv[1]).read_bytes()), Path(sys.argv[2])
-model = train_canonical(scene, SHORT, checkpoint=Checkpoint(folder / "state", "this training", every_s=0.0))
+state = Checkpoint(folder / "state", "this training", every_s=0.0)
+model = train_canonical(scene, SHORT, run=TrainingRun(checkpoint=state))
 save_file(_tensors(model), folder / "model")
 """
 

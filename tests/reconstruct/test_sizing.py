@@ -18,9 +18,10 @@ from devrf.reconstruct.adapt.static_keys import still_keys
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.fields.grids import grid_shape
 from devrf.reconstruct.fields.ndc import CUBE, Ndc
-from devrf.reconstruct.options import MotionOptions, preset
+from devrf.reconstruct.options import MotionOptions, Overrides, preset
 from devrf.reconstruct.rendering.model import DynamicModel, render_view
 from devrf.reconstruct.rendering.rays import RaySet
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
 from devrf.reconstruct.training.train_motion import train_motion
 
@@ -65,7 +66,7 @@ def test_voxels_of_a_frustum_are_as_large_as_pixels() -> None:
 def test_motion_of_a_frustum_follows_its_voxels() -> None:
     motion = preset("fast", forward=True).motion
     for ratio in (1.0, 0.5):
-        given = preset("fast", forward=True, resolution=round(160 * ratio))
+        given = preset("fast", Overrides(resolution=round(160 * ratio)), forward=True)
         rest = given.canonical
         model = canonical(CUBE, rest.resolution, planes=rest.planes, ndc=Ndc(1.0, 1.0))
         assert levels_for(motion, model).levels == tuple(round(level * ratio) for level in motion.levels)
@@ -176,7 +177,9 @@ def test_adapted_training_resumes_bit_by_bit(ball, rest: RestModel, tmp_path) ->
     undisturbed, log = train_motion(_paused(ball), rest, {}, options)
     deaths = {("", visits) for visits in (1, 5, 8, 9)}  # at the others nothing moves
     motion, metrics = until_done(
-        lambda state: train_motion(_paused(ball), rest, {}, options, checkpoint=state), tmp_path, deaths
+        lambda state: train_motion(_paused(ball), rest, {}, options, run=TrainingRun(checkpoint=state)),
+        tmp_path,
+        deaths,
     )
     assert torch.equal(motion.backward, undisturbed.backward)
     assert metrics["decisions"] == log["decisions"]
@@ -227,9 +230,12 @@ def test_voxels_are_fewer_before_coarse_pictures(ball) -> None:
 
 def test_what_is_given_is_not_decided() -> None:
     assert preset("fast").canonical.adapt and preset("fast").motion.adapt
-    assert not preset("fast", resolution=64).canonical.adapt
-    assert preset("fast", key_times=7).motion.keys == 7
-    assert not preset("fast", adapt=False).motion.adapt and preset("tiny", adapt=True).canonical.adapt
+    assert not preset("fast", Overrides(resolution=64)).canonical.adapt
+    assert preset("fast", Overrides(key_times=7)).motion.keys == 7
+    assert (
+        not preset("fast", Overrides(adapt=False)).motion.adapt
+        and preset("tiny", Overrides(adapt=True)).canonical.adapt
+    )
     assert not preset("reference").motion.adapt
 
 

@@ -204,7 +204,7 @@ def test_none_becomes_finer_than_what_pictures_show(made: tuple[DynamicModel, Sp
     dots = replace(made[1].gaussians, log_scales=torch.full_like(made[1].gaussians.log_scales, -9.0))
     camera = look_at(around(16, 0.2, 0.35)[3])
     picture = Look(camera, 0.5, torch.from_numpy(render_view(made[0], camera, 0.5)))
-    fitted = fit(made[0], dots, [picture], made[1].behind, rounds=1, seed=0)
+    fitted = fit(made[0], (dots, None), [picture], made[1].behind, rounds=1)
     finest = FINEST_PX * pixel_sizes(fitted.places, [camera])
     assert (finest > 0).any() and (fitted.log_scales.exp() > 0.9 * finest[:, None]).all()
 

@@ -12,6 +12,7 @@ from tests.refused import refused
 from devrf.capture.camera import Camera
 from devrf.capture.system.errors import ReconstructError
 from devrf.pipelines.export.mesh import marching_cubes
+from devrf.reconstruct.fields.canonical import seen_with
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.geometry.cloud import point_cloud
 from devrf.reconstruct.geometry.field import Field, field_at
@@ -68,14 +69,14 @@ def test_the_mesh_at_rest_is_moved_to_where_it_is_found(model: DynamicModel) -> 
 
 def test_nothing_that_solid_is_said(model: DynamicModel) -> None:
     thin = field_at(model, None)
-    canonical = thin.canonical.seen_with(0.5, 1e-3, 1e-3)
+    canonical = seen_with(thin.canonical, 0.5, 1e-3, 1e-3)
     canonical.density = canonical.density.clamp(max=-2.0 - canonical.shift)
     with refused("model-without-surface", "level 0.5", "--level", kind=ReconstructError):
         surface_of(Field(canonical), LEVEL, marching_cubes)
 
 
 def test_crumbs_are_left_out(model: DynamicModel) -> None:
-    canonical = field_at(model, None).canonical.seen_with(0.5, 1e-3, 1e-3)
+    canonical = seen_with(field_at(model, None).canonical, 0.5, 1e-3, 1e-3)
     canonical.density = canonical.density.clone()
     canonical.density[2, 2, 2] = 20.0
     canonical.rebuild_occupancy()

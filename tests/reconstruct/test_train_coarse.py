@@ -1,6 +1,7 @@
 """The first, coarse model: what stands near one camera is learned from the others."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,7 @@ def test_a_wall_right_behind_one_camera_that_others_see_stays() -> None:
         preset("tiny").canonical, coarse_iterations=60, coarse_rays=1024, coarse_size=32, seed=0
     )
     log, generator = TrainingLog("cpu", 1000), torch.Generator().manual_seed(0)
-    model = train_coarse(scene, rays, None, options, "cpu", generator, log)
+    model = train_coarse(scene, partial(rays.draw, generator=generator), options, generator, log)
 
     def raw(x: float) -> torch.Tensor:
         at = torch.tensor([[x, y, z] for y in (-0.3, 0.0, 0.3) for z in (-0.3, 0.0, 0.3)])

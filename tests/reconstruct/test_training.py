@@ -18,6 +18,7 @@ from devrf.reconstruct.rendering.model import DynamicModel, render_view
 from devrf.reconstruct.storage.training_log import Diverged, TrainingLog
 from devrf.reconstruct.storage.watch import Watch
 from devrf.reconstruct.training import train_canonical as training
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.losses import VARIATION_CLAMP
 from devrf.reconstruct.training.train_canonical import train_canonical
 from devrf.reconstruct.training.train_motion import train_motion
@@ -216,6 +217,8 @@ def test_looks_are_off_the_clock_and_come_less_and_less_often(monkeypatch: pytes
 def test_looking_changes_nothing(ball, rest: RestModel) -> None:
     options = replace(MOTION, iterations=(4, 3), most_keys=3)
     watched: list[MotionField] = []
-    motion, _ = train_motion(ball.scene, rest, {}, options, watch=Watch(0.0, lambda m, s: watched.append(m)))
+    motion, _ = train_motion(
+        ball.scene, rest, {}, options, run=TrainingRun(watch=Watch(0.0, lambda m, s: watched.append(m)))
+    )
     assert torch.equal(motion.backward, train_motion(ball.scene, rest, {}, options)[0].backward)
     assert len(watched) == 2 * 2  # levels times keys

@@ -16,6 +16,7 @@ from devrf.reconstruct.rendering.model import DynamicModel, render_view
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.unfinished import motion_in_training, rest_in_training
 from devrf.reconstruct.storage.watch import Watch
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
 from devrf.reconstruct.training.train_motion import train_motion
 
@@ -34,7 +35,9 @@ def test_what_is_seen_of_a_scene_at_rest_is_what_is_being_trained(
             seen.append(render_view(DynamicModel(rest_in_training(path)), camera, None))
 
     options = replace(SHORT, iterations=12, scale_at=(), coarse_iterations=4)
-    train_canonical(scene, options, checkpoint=Checkpoint(path, every_s=0.0), watch=Watch(0.0, look))
+    train_canonical(
+        scene, options, run=TrainingRun(checkpoint=Checkpoint(path, every_s=0.0), watch=Watch(0.0, look))
+    )
     shown, looked_at = seen
     assert shown.std() > 0.01
     assert np.abs(shown - looked_at).max() < 0.2  # one iteration later
@@ -45,7 +48,9 @@ def test_what_is_seen_of_a_motion_is_what_is_being_trained(
     ball: Ball, rest: RestModel, tmp_path: Path
 ) -> None:
     path = tmp_path / "state"
-    motion, _ = train_motion(ball.scene, rest, {}, MOTION, checkpoint=Checkpoint(path, every_s=0.0))
+    motion, _ = train_motion(
+        ball.scene, rest, {}, MOTION, run=TrainingRun(checkpoint=Checkpoint(path, every_s=0.0))
+    )
     seen = motion_in_training(path)
     assert torch.equal(seen.backward, motion.backward) and torch.equal(seen.forward, motion.forward)
     assert (seen.t_first, seen.t_last, seen.rest_key) == (motion.t_first, motion.t_last, motion.rest_key)

@@ -19,7 +19,7 @@ from devrf.capture.video.reader import VideoReader
 from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.accuracy.ingest_clips import BIT_RATE, film, filmed
 from devrf.lab.bench.bench_rows import Row
-from devrf.lab.simulate.session.dng import mosaic, write_dng
+from devrf.lab.simulate.session.dng import DngTags, mosaic, write_dng
 
 REPETITIONS = 5  # in turns; the fastest of each counts: what else the machine does only slows
 SHORT_FRAMES, LONGER = 60, 4
@@ -88,7 +88,7 @@ def raw(cases: Cases) -> list[Row]:
     folder, rng = cases.folder("raw"), np.random.default_rng(0)
     levels = {"black": (512, 512, 512, 512), "white": 16383}
     piece = mosaic(rng.uniform(0.05, 0.8, (*PHOTO_SIZE, 3)), "RGGB", *levels.values())
-    write_dng(folder / "photo.dng", np.tile(piece, (PHOTO_TILES, PHOTO_TILES)), **levels)
+    write_dng(folder / "photo.dng", np.tile(piece, (PHOTO_TILES, PHOTO_TILES)), DngTags(**levels))
     for count in (FEW_PHOTOS, MANY_PHOTOS):
         for n in range(count):
             shutil.copyfile(folder / "photo.dng", cases.folder(f"raw/{count}") / f"{n}.dng")

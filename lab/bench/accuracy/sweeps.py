@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.truth import Truth, compare_cameras
 from devrf.capture.frames import SWEEP
 from devrf.capture.ingest.ingest import write_frames
@@ -21,7 +21,7 @@ from devrf.capture.session import CaptureSession
 from devrf.lab.bench.accuracy.cases import Cases
 from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.config.scene import StaticPosesConfig
-from devrf.pipelines.stages.static_poses import recover_sweep
+from devrf.pipelines.stages.static_poses import Swept, recover_sweep
 
 FOX = "instant-ngp's COLMAP model of data/nerf/fox (transforms.json)"
 SCEAUX = "openMVG ImageDataset_SceauxCastle, images/K.txt"
@@ -56,8 +56,9 @@ def _recover(out: Path, photos: Path) -> tuple[SweepModel, float]:
     shutil.rmtree(out)
     (out / "static_poses").mkdir(parents=True)
     frames = write_frames(CaptureSession(static=photos), {}, out / "ingest", out)
+    options = SweepOptions(StaticPosesConfig().mapper)
     camera, start = frames.cameras[SWEEP], time.monotonic()
-    model, _ = recover_sweep(out / "ingest", camera, out / "static_poses", StaticPosesConfig(), out, photos)
+    model, _ = recover_sweep(Swept(out / "ingest", camera), out / "static_poses", options)
     return model, time.monotonic() - start
 
 

@@ -26,9 +26,10 @@ def flash(cases: Cases) -> list[Row]:
         flashes_s = np.sort(rng.uniform(0.5, SECONDS - 0.6, FLASHES)).tolist()
         seen = []
         for k, start_s in enumerate((0.0, offset_s)):
-            camera = RollingShutter(start_s, readout_s=float(rng.uniform(0.012, 0.03)), exposure_s=0.022)
+            readout_s = float(rng.uniform(0.012, 0.03))
+            camera = RollingShutter(start_s, readout_s=readout_s, exposure_s=0.022, seconds=SECONDS)
             path = folder / f"{seed}_{k}.mp4"
-            film_flashes(path, camera, flashes_s, seconds=SECONDS, seed=seed + 100 * k)
+            film_flashes(path, camera, flashes_s, seed=seed + 100 * k)
             course = extract_clip(path, folder, path.stem, "camera", path.name, Keep()).courses.brightness
             seen.append(find_flashes(Brightness(course[:, 0], course[:, 1:])))
         found = flash_delay(*seen)

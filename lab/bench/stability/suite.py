@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
 
@@ -32,14 +32,27 @@ MEASURES = {
 HEARD_GOAL = 0.9  # of recall, and of precision
 
 
+@dataclass(frozen=True)
+class Extent:
+    """How much is tried.
+
+    Attributes:
+        severities: How many of each axis, the worst among them; None: all.
+        seeds: Of the trainings and of what is drawn at random.
+        minutes: No case begins later; what there is by then, of earlier runs too, is written.
+    """
+
+    severities: int | None
+    seeds: Sequence[int]
+    minutes: float = math.inf
+
+
 def run_stability(
     base: Run,
     out: Path,
     names: Sequence[str],
-    severities: int | None,
-    seeds: Sequence[int],
+    extent: Extent,
     json_path: Path,
-    minutes: float = math.inf,
 ) -> list[Row]:
     """Damage the scene along axes; print, draw and write what came of it.
 
@@ -47,15 +60,14 @@ def run_stability(
         base: The scene, with test cameras.
         out: Folder for the cases; one that was begun is gone on with.
         names: Axes.
-        severities: How many of each axis, the worst among them; None: all.
-        seeds: Of the trainings and of what is drawn at random.
+        extent: How much of them.
         json_path: Where the rows go; the chart is drawn beside it.
-        minutes: No case begins later; what there is by then, of earlier runs too, is written.
     Raises:
         DevrfError: The undisturbed scene has no result.
         InputError: It has no test camera that sees something move.
     """
-    talk, capture, until = base.talk, base.config.capture, time.monotonic() + 60 * minutes
+    talk, capture, until = base.talk, base.config.capture, time.monotonic() + 60 * extent.minutes
+    severities, seeds = extent.severities, extent.seeds
     needs = "bench stability needs a test camera of what moves (capture.test_cameras, or the data set's test split)"
     if capture is not None and not capture.test_names:
         raise InputError("test-camera-missing", f"{base.config.name}: no test camera is named; {needs}")
@@ -82,7 +94,7 @@ def run_stability(
         for severity in AXES[name].some(severities):
             for seed in seeds:
                 if time.monotonic() >= until and not is_made(out, name, severity, seed):
-                    late = f"from {severity:g} on nothing was begun after {minutes:g} minutes"
+                    late = f"from {severity:g} on nothing was begun after {extent.minutes:g} minutes"
                     left_out.setdefault(name, late)
                     continue
                 try:

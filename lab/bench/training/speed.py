@@ -12,6 +12,7 @@ from devrf.lab.bench.training.published import PUBLISHED
 from devrf.lab.bench.training.trainings import Bench, device_name, score_rows
 from devrf.pipelines.config.scene import ReconstructConfig
 from devrf.reconstruct.options import Options
+from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
 from devrf.reconstruct.training.train_motion import train_motion
 
@@ -126,11 +127,11 @@ def options_of(bench: Bench, case: Case) -> Options:
 
 def _load_kernels(bench: Bench) -> None:
     """Train for an instant, so that the first case does not pay for what is compiled at first use."""
-    options = bench.options("tiny", canonical_iterations=1)
+    options, run = bench.options("tiny", canonical_iterations=1), TrainingRun(bench.run.device)
     canonical = replace(options.canonical, resolution=16, shell_resolution=16, coarse_size=16, scale_at=())
-    rest = train_canonical(bench.scene, canonical, bench.run.device)
+    rest = train_canonical(bench.scene, canonical, run)
     motion = replace(options.motion, levels=(4,), iterations=(1,))
-    train_motion(bench.scene, rest, bench.flows, motion, bench.run.device)
+    train_motion(bench.scene, rest, bench.flows, motion, run)
 
 
 def _measure(bench: Bench, case: Case, every_s: float) -> Measured:

@@ -31,14 +31,14 @@ from devrf.pipelines.stages.evaluate import lpips_nets, versions
 from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.pipelines.terminal.exit_codes import DONE
+from devrf.reconstruct import recipe
 from devrf.reconstruct.evaluation.evaluate import METRICS, LpipsNets, evaluate
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
 from devrf.reconstruct.rendering.model import render_view
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.model_io import load_deformation, load_rest, save_deformation, save_rest
-from devrf.reconstruct.training.train_canonical import train_canonical
-from devrf.reconstruct.training.train_deformation import train_deformation
+from devrf.reconstruct.training.loop import TrainingRun
 
 UNITS = {"psnr": "dB", "ssim": "", "lpips_vgg": "", "lpips_alex": ""}
 
@@ -94,7 +94,9 @@ class Bench:
 
         def train(checkpoint: Checkpoint, progress: Progress) -> dict[str, Any]:
             watch = looks.of_rest() if looks is not None else None
-            model = train_canonical(self.scene, options, self.run.device, progress, checkpoint, watch)
+            model = recipe.canonical(
+                self.scene, options, TrainingRun(self.run.device, progress, checkpoint, watch)
+            )
             save_rest(file, model)
             return model.metrics | ({"looks": looks.taken()} if looks is not None else {})
 
@@ -129,17 +131,9 @@ class Bench:
 
         def train(checkpoint: Checkpoint, progress: Progress) -> dict[str, Any]:
             watch = looks.of_motion(rest) if looks is not None else None
-            trained, facts = train_deformation(
-                scene,
-                rest,
-                self.flows,
-                options,
-                device,
-                progress,
-                checkpoint,
-                watch,
-                partial(flow_estimator, self.run.config, self.run.scene_dir, device),
-            )
+            training = TrainingRun(device, progress, checkpoint, watch)
+            estimator = partial(flow_estimator, self.run.config, self.run.scene_dir, device)
+            trained, facts = recipe.motion(scene, rest, self.flows, options, training, estimator)
             files = save_deformation(folder, trained)
             model = load_deformation(folder, rest, device)
             assert trained.motion is not None

@@ -181,7 +181,7 @@ def _facing(scene: str, seed: int, options: ForwardOptions) -> Model:
 def _wall(seed: int) -> Part:
     h, texels = WALL_HALF, round(2 * WALL_HALF / WALL_TEXEL)
     rng = np.random.default_rng([seed, 3])
-    picture = texture(rng, texels, texels, WALL_TEXEL, 1.0, paint=WALL, largest_m=0.8, smallest_m=0.08)
+    picture = texture(rng, (texels, texels), WALL_TEXEL, 1.0, paint=WALL, sizes_m=(0.08, 0.8))
     quad = np.array([[x, WALL_Y, z] for x, z in ((-h, h), (h, h), (h, -h), (-h, -h))])
     return rigid(picture_on_quad(quad, picture), np.eye(4))
 

@@ -91,9 +91,9 @@ def room(rng: np.random.Generator, contrast: float) -> Room:
     for i in range(4):  # each wall is seen from inside, its picture's rows going down
         a, b = corners[(i + 1) % 4], corners[i]
         quad = np.array([[*a, top], [*b, top], [*b, 0], [*a, 0]])
-        meshes.append(_quad(quad, texture(rng, 533, 667, 0.006, contrast, paint=WALLS[i])))
+        meshes.append(_quad(quad, texture(rng, (533, 667), 0.006, contrast, paint=WALLS[i])))
     floor = np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
-    meshes.append(_quad(floor, texture(rng, 667, 667, 0.006, contrast, paint=FLOOR)))
+    meshes.append(_quad(floor, texture(rng, (667, 667), 0.006, contrast, paint=FLOOR)))
     meshes += box(
         rng, np.array([0.0, 0.0, PLATFORM_M / 2]), np.array([1.15, 1.15, PLATFORM_M]), 8.0, contrast, WOOD
     )
@@ -106,17 +106,16 @@ def room(rng: np.random.Generator, contrast: float) -> Room:
 
 def texture(
     rng: np.random.Generator,
-    height: int,
-    width: int,
+    shape: tuple[int, int],
     metres_per_texel: float,
     contrast: float,
     *,
     paint: Paint,
-    largest_m: float = 0.5,
-    smallest_m: float = 0.05,
+    sizes_m: tuple[float, float] = (0.05, 0.5),
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A non-repeating sRGB picture: cloudy ground, then discs, polygons, rings and strokes of all sizes
-    between `smallest_m` and `largest_m`, so that there are features at every distance."""
+    between those of `sizes_m`, so that there are features at every distance."""
+    (height, width), (smallest_m, largest_m) = shape, sizes_m
     ground = np.zeros((height, width, 3), np.float32)
     for octave in range(1, 6):
         cells = rng.uniform(-1, 1, (2**octave, 2**octave, 3)).astype(np.float32)
@@ -174,7 +173,7 @@ def box(
         width, height = np.linalg.norm(quad[1] - quad[0]), np.linalg.norm(quad[3] - quad[0])
         texel = 0.004
         shape = max(4, round(float(height) / texel)), max(4, round(float(width) / texel))
-        picture = texture(rng, *shape, texel, contrast, paint=paint, largest_m=0.25, smallest_m=0.03)
+        picture = texture(rng, shape, texel, contrast, paint=paint, sizes_m=(0.03, 0.25))
         meshes.append(_quad(quad, picture))
     return meshes
 

@@ -28,7 +28,7 @@ def changing(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
     """What `options.change` says, with a print like the sheet's, on its plinth."""
     shape, vertices_at = CHANGES[options.change](rng, options.motion_scale)
     contrast = options.texture_contrast
-    print_ = texture(rng, 440, 660, 0.002, contrast, paint=PRINT, largest_m=0.16, smallest_m=0.035)
+    print_ = texture(rng, (440, 660), 0.002, contrast, paint=PRINT, sizes_m=(0.035, 0.16))
     rest = replace(shape, vertices=vertices_at(0.0), texture=print_)
     size = np.array([0.5, 0.6, TOP_M - PLATFORM_M])
     middle = np.array([0.0, 0.0, (TOP_M + PLATFORM_M) / 2])

@@ -152,7 +152,7 @@ def _rug(rng: np.random.Generator, size: tuple[float, float]) -> Mesh:
     """Larger than any scene box round the object, so that its side cuts it."""
     (x, y), (width, depth) = rng.uniform(-0.1, 0.1, 2), size
     picture = texture(
-        rng, round(depth / TEXEL_M), round(width / TEXEL_M), TEXEL_M, 1.0, paint=RUG, largest_m=0.35
+        rng, (round(depth / TEXEL_M), round(width / TEXEL_M)), TEXEL_M, 1.0, paint=RUG, sizes_m=(0.05, 0.35)
     )
     for at in (0.06, 0.12):
         edge = round(at / TEXEL_M)
@@ -239,7 +239,7 @@ def _sideboard(rng: np.random.Generator, x: float, y: float) -> list[Mesh]:
 def _painting(rng: np.random.Generator, x: float, y: float) -> list[Mesh]:
     """In a frame on the wall at y; seen from the middle of the room."""
     to_wall = np.sign(y)
-    canvas = texture(rng, 110, 150, TEXEL_M, 1.0, paint=CANVAS, largest_m=0.3, smallest_m=0.03)
+    canvas = texture(rng, (110, 150), TEXEL_M, 1.0, paint=CANVAS, sizes_m=(0.03, 0.3))
     cv2.rectangle(canvas, (0, 0), (149, 109), (58, 44, 34), 8)
     a, b = to_wall * 0.45, 0.33
     corners = np.array(
@@ -278,7 +278,7 @@ def _curtain(rng: np.random.Generator, y: float, height: float) -> Mesh:
 
 def _outside(rng: np.random.Generator) -> Picture:
     """A garden under a bright sky."""
-    picture = texture(rng, 425, 700, 0.02, 1.0, paint=GARDEN, largest_m=1.5, smallest_m=0.1)
+    picture = texture(rng, (425, 700), 0.02, 1.0, paint=GARDEN, sizes_m=(0.1, 1.5))
     horizon = 215 + (12 * np.cumsum(rng.normal(0, 0.35, 700))).clip(-60, 60)
     above = np.arange(425)[:, None] < horizon
     sky = _plain(rng, 425 * TEXEL_M, 700 * TEXEL_M, SKY)

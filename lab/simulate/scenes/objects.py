@@ -60,7 +60,7 @@ def _sheet(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
     if strips:
         left_vertex = faces.min(1) % columns
         faces = faces[left_vertex % 3 != 2]  # between two strips there is nothing
-    cloth = texture(rng, 425, 450, 0.002, contrast, paint=PRINT, largest_m=0.16, smallest_m=0.035)
+    cloth = texture(rng, (425, 450), 0.002, contrast, paint=PRINT, sizes_m=(0.035, 0.16))
     rest = Mesh(vertices_at(0.0), faces[:, ::-1].copy(), uv, cloth, smooth=True, thickness_m=0.002)
     stand = []
     for side in (-1, 1):
@@ -107,7 +107,7 @@ def _column(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
         return (foot + spine[:, None] + r[..., None] * ring).reshape(-1, 3)
 
     faces, uv = _grid(rows, around)
-    skin = texture(rng, 475, 628, 0.002, contrast, paint=PRINT, largest_m=0.16, smallest_m=0.035)
+    skin = texture(rng, (475, 628), 0.002, contrast, paint=PRINT, sizes_m=(0.035, 0.16))
     rest = Mesh(vertices_at(0.0), faces, uv, skin, smooth=True)
     plinth = box(rng, np.array([0.0, 0.0, 0.4]), np.array([0.5, 0.5, 0.1]), 20.0, contrast, WOOD)
     return MovingObject(rest, vertices_at, tuple(plinth))

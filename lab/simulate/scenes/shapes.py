@@ -79,9 +79,7 @@ def skin(
 ) -> np.ndarray:
     """A procedural picture for a surface of about this size; `coarse` enlarges its shapes."""
     rows, columns = (int(np.clip(length / TEXEL, 8, 700)) for length in (height, width))
-    return texture(
-        rng, rows, columns, TEXEL, 1.0, paint=paint, largest_m=0.3 * coarse, smallest_m=0.05 * coarse
-    )
+    return texture(rng, (rows, columns), TEXEL, 1.0, paint=paint, sizes_m=(0.05 * coarse, 0.3 * coarse))
 
 
 def rounded_box(

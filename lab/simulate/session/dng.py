@@ -1,5 +1,6 @@
 """RAW files with known content: a writer of uncompressed DNG (Adobe, Digital Negative Specification 1.4)."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,22 +24,11 @@ def mosaic(
     return np.clip(np.round(values), 0, 65535).astype(np.int64)
 
 
-def write_dng(
-    path: Path,
-    raw: Int[np.ndarray, "h w"],
-    *,
-    pattern: str = "RGGB",
-    black: tuple[int, int, int, int] = (0, 0, 0, 0),
-    white: int = 65535,
-    neutral: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    orientation: int = 1,
-    exposure_s: float = 0.01,
-) -> None:
-    """Write sensor values as a DNG.
+@dataclass(frozen=True)
+class DngTags:
+    """What a DNG's tags say.
 
-    Args:
-        path: The file.
-        raw: Values, 16 bits.
+    Attributes:
         pattern: Colours of the top-left 2 x 2 pixels, row by row.
         black: Black level by place in the pattern.
         white: White level.
@@ -46,6 +36,17 @@ def write_dng(
         orientation: EXIF's number.
         exposure_s: Shutter time.
     """
+
+    pattern: str = "RGGB"
+    black: tuple[int, int, int, int] = (0, 0, 0, 0)
+    white: int = 65535
+    neutral: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    orientation: int = 1
+    exposure_s: float = 0.01
+
+
+def write_dng(path: Path, raw: Int[np.ndarray, "h w"], shot: DngTags) -> None:
+    """Write sensor values of 16 bits as a DNG."""
     height, width = raw.shape
     pixels = raw.astype("<u2").tobytes()
     tags = ImageFileDirectory_v2()  # finds types and places by itself
@@ -60,22 +61,22 @@ def write_dng(
             271: "devrf",
             272: "test",
             273: 0,  # pixels: right behind all directories
-            274: orientation,
+            274: shot.orientation,
             277: 1,
             278: height,
             279: len(pixels),
             284: 1,
             33421: (2, 2),
-            33422: bytes(CHANNEL[c] for c in pattern),
-            34665: {33434: IFDRational(exposure_s), 33437: IFDRational(4.0), 34855: 100},  # EXIF
+            33422: bytes(CHANNEL[c] for c in shot.pattern),
+            34665: {33434: IFDRational(shot.exposure_s), 33437: IFDRational(4.0), 34855: 100},  # EXIF
             50706: bytes((1, 4, 0, 0)),
             50707: bytes((1, 1, 0, 0)),
             50708: "devrf test",
             50713: (2, 2),
-            50714: black,
-            50717: white,
+            50714: shot.black,
+            50717: shot.white,
             50721: tuple(IFDRational(round(1e4 * v), 10_000) for v in SRGB_FROM_XYZ.ravel().tolist()),
-            50728: tuple(IFDRational(v) for v in neutral),
+            50728: tuple(IFDRational(v) for v in shot.neutral),
             50778: 21,  # the matrix is for D65
         }
     )

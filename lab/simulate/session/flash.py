@@ -24,6 +24,7 @@ class RollingShutter:
     fps: float = 30.0
     readout_s: float = 0.02
     exposure_s: float = 0.016
+    seconds: float = 4.0  # length of its clip
 
 
 def film_flashes(
@@ -31,7 +32,6 @@ def film_flashes(
     camera: RollingShutter,
     flashes_s: Sequence[float],
     lamp_s: float | None = None,
-    seconds: float = 4.0,
     strength: float = 60.0,
     seed: int = 0,
 ) -> Path:
@@ -42,7 +42,6 @@ def film_flashes(
         camera: Its clock and shutter.
         flashes_s: True times of flashes, which light what is exposed at that moment.
         lamp_s: When a lamp is switched on: it lights what is exposed from then on, in proportion.
-        seconds: Length.
         strength: Levels of 255 that the light adds.
         seed: Of the wall and the noise.
     """
@@ -52,7 +51,7 @@ def film_flashes(
     )
     row = (np.arange(HEIGHT) + 0.5) / HEIGHT
     pictures = []
-    for n in range(int(seconds * camera.fps)):
+    for n in range(int(camera.seconds * camera.fps)):
         lit = exposed(camera, n, row, flashes_s, lamp_s)
         level = wall + strength * lit[:, None] + rng.normal(0, NOISE_LEVELS, wall.shape)
         pictures.append(np.repeat(np.clip(level, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2))

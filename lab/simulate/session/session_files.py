@@ -24,15 +24,12 @@ SWAY_HZ = 0.3
 
 
 def ground_truth(
-    size: tuple[int, int],
     sweep: list[Camera],
     fixed: list[FixedCamera],
     claps_s: np.ndarray,
     thing: MovingObject,
     options: SessionOptions,
-    scene: str,
-    seed: int,
-    code: str | None,
+    made_by: dict[str, Any],
 ) -> dict[str, Any]:
     """What ground_truth.json holds: see `simulate_session` and docs/formats.md."""
     chosen = np.linspace(0, len(thing.rest.vertices) - 1, TRACKED_POINTS).round().astype(int)
@@ -40,8 +37,8 @@ def ground_truth(
     times_s = np.arange(0.0, last_s, 1 / TRACK_FPS)
     tracks = [object_at(thing, float(t), options).vertices[chosen] for t in times_s]
     truth: dict[str, Any] = {
-        "width": size[0],
-        "height": size[1],
+        "width": fixed[0].camera.width,
+        "height": fixed[0].camera.height,
         "fps": options.fps,
         **_lens_truth(fixed[0].camera),
         "static": [camera.world_from_cam.tolist() for camera in sweep],
@@ -65,7 +62,7 @@ def ground_truth(
             "times_s": times_s.tolist(),
             "points_m": np.round(tracks, 5).tolist(),
         },
-        "made_by": {"scene": scene, "seed": seed, "options": options.model_dump(mode="json"), "code": code},
+        "made_by": made_by,
     }
     if options.board:
         truth["board"] = {

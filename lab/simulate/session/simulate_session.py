@@ -133,7 +133,8 @@ def simulate_session(
     if options.board:
         for name, camera in [("static", _away_from_board(sweep)), *((c.name, c.camera) for c in fixed)]:
             work.board_clip(name, camera)
-    truth = ground_truth(size, sweep, fixed, claps, thing, options, scene, seed, code)
+    made_by = {"scene": scene, "seed": seed, "options": options.model_dump(mode="json"), "code": code}
+    truth = ground_truth(sweep, fixed, claps, thing, options, made_by)
     (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
     work.motion(fixed[-1], still)
     path = out / "scene.yaml"
@@ -287,9 +288,7 @@ def standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Me
     pose = board_pose()
     front = board_corners(BOARD_SQUARES, BOARD_SQUARE_M, pose)
     back = (front + BOARD_THICKNESS_M * pose[:3, 2])[[1, 0, 3, 2]]
-    paper = texture(
-        rng, 120, 160, 0.004, options.texture_contrast, paint=WOOD, largest_m=0.2, smallest_m=0.03
-    )
+    paper = texture(rng, (120, 160), 0.004, options.texture_contrast, paint=WOOD, sizes_m=(0.03, 0.2))
     return [picture_on_quad(front, board_picture(BOARD_SQUARES)), picture_on_quad(back, paper)]
 
 

@@ -44,8 +44,7 @@ def record(
     times_s: Float[np.ndarray, " n"],
     microphone: Microphone,
     duration_s: float,
-    noise: float = NOISE,
-    reverb: float = REVERB,
+    room: tuple[float, float] = (NOISE, REVERB),
 ) -> Int[np.ndarray, " samples"]:
     """What a microphone records, 16 bit [samples], the first sample at file time 0.
 
@@ -55,10 +54,9 @@ def record(
         times_s: When hands clap, on cam0's clock.
         microphone: Place and clock.
         duration_s: Length on the camera's own clock.
-        noise: Standard deviation of the background, relative to a clap's peak.
-        reverb: Loudness of the first echo, relative to the clap.
+        room: Standard deviation of the background, and loudness of the first echo, relative to a clap's peak.
     """
-    count = round(duration_s * SAMPLE_RATE_HZ)
+    (noise, reverb), count = room, round(duration_s * SAMPLE_RATE_HZ)
     rate = (1 + 1e-6 * microphone.drift_ppm) / SAMPLE_RATE_HZ
     true_times = microphone.offset_s + rate * np.arange(count)
     travel_s = microphone.distance_m / SPEED_OF_SOUND_M_S

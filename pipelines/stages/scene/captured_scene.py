@@ -100,9 +100,8 @@ def scene_from_capture(
     rest = None
     if dynamic:
         filmed = {n: clip for n, clip in by_camera(dynamic).items() if n in moves and len(clip) > 1}
-        rest, seen = rest_time(
-            config.capture.rest, filmed, moves, _shared(training(dynamic)), model, factor, ingest
-        )
+        sweep = None if model is None else (model, factor)
+        rest, seen = rest_time(config.capture.rest, filmed, moves, _shared(training(dynamic)), sweep, ingest)
         context.measures += seen
     scene = Scene(
         static=static,

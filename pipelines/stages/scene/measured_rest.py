@@ -32,8 +32,7 @@ def rest_time(
     clips: Mapping[str, Sequence[PosedFrame]],
     masks: Mapping[str, MotionMask],
     shared: tuple[float, float],
-    model: SweepModel | None,
-    factor: float,
+    sweep: tuple[SweepModel, float] | None,
     ingest: Path,
 ) -> tuple[float | None, list[Measure]]:
     """The time of rest in [0, 1], None without one; and what was seen, if anything was looked at.
@@ -43,8 +42,7 @@ def rest_time(
         clips: Training cameras: their pictures in the order of time, two or more.
         masks: What moves in each.
         shared: The first and the last time at which all of these film, in [0, 1].
-        model: The sweep; without one nothing is measured.
-        factor: From the sweep's unit to the cameras'.
+        sweep: It and the factor from its unit to the cameras'; without one nothing is measured.
         ingest: Folder of that stage.
     """
 
@@ -54,10 +52,10 @@ def rest_time(
     begin = shared[0] if shared[0] <= LATEST else 0.0
     end = shared[1] if shared[1] >= 1 - LATEST else 1.0
     said = {"end": end, "middle": 0.5, "none": None}.get(asked, begin)
-    if model is None or not clips:
+    if sweep is None or not clips:
         return said, []
     times = moments_of(shared)
-    seen = {name: _seen(clip, times, masks[name], model, factor, read) for name, clip in clips.items()}
+    seen = {name: _seen(clip, times, masks[name], *sweep, read) for name, clip in clips.items()}
     votes = rest_votes(list(seen.values()))
     times, votes = times[np.isfinite(votes)], votes[np.isfinite(votes)]
     moment, time = rest_moment(times, votes, shared)

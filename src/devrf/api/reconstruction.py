@@ -88,7 +88,13 @@ class Reconstruction:
         """Moments that the motion was found at [T], seconds, rising; empty where nothing moves. Between two of them,
         motion is interpolated, so that any time from the first to the last modelled one can be asked for."""
         span_s = self.scene.t1_s - self.scene.t0_s
-        return self.scene.t0_s + span_s * np.array(self.model.moments, dtype=np.float64)
+        return self.scene.t0_s + span_s * np.array(self._moments, dtype=np.float64)
+
+    @cached_property
+    def _moments(self) -> list[float]:
+        from devrf.reconstruct.rendering.model import moments_of
+
+        return moments_of(self.model)
 
     @cached_property
     def parts(self) -> tuple[MovingPart, ...]:
@@ -185,7 +191,7 @@ class Reconstruction:
             _mapped(self.scene.box_from_world, points),
             np.linalg.inv(self.scene.box_from_world),
         )
-        ways = [_mapped(world_from_box, moved(self.model, boxed, time, then)) for then in self.model.moments]
+        ways = [_mapped(world_from_box, moved(self.model, boxed, time, then)) for then in self._moments]
         return np.stack(ways) if ways else np.zeros((0, *boxed.shape))
 
     def _named(self, name: str) -> Camera:
