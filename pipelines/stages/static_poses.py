@@ -53,7 +53,7 @@ def run(context: StageContext) -> None:
         options=SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px),
     )
     lens = None if stored is None else stored.turned(frames.cameras[SWEEP].upright)
-    context.measures += sweep_measures(model, lens, side_px)
+    context.measures += sweep_measures(model, lens, side_px, frames.cameras[SWEEP].pixel_aspect)
     context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
     if board is not None:
         _add_board(context.out / "static_poses.json", board)

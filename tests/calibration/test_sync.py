@@ -224,6 +224,20 @@ def test_of_guesses_those_count_that_most_others_agree_with() -> None:
     assert _with_guesses(spans(4.0, names), sure, [wrong, *right, heard])[-1] is heard
 
 
+def test_exposure_that_settles_as_files_begin_tells_no_time() -> None:
+    """Within a third of a second, and hardly anything moves; six pairs agree on it."""
+    rng, names = np.random.default_rng(5), NAMES[:4]
+    time_s = np.arange(59) / 30
+    settling = np.exp(-time_s / 0.12) * (time_s < 0.35)
+    motion = {
+        name: np.stack([time_s, 1 + 0.15 * rng.random(59) + rng.uniform(1.2, 1.8) * settling], axis=1)
+        for name in names
+    }
+    result = synchronise(spans(2.0, names), {}, motion)
+    assert all(result.cameras[name].confidence < 0.5 for name in names[1:])
+    assert any(n.startswith("cam0 and cam1: motion not trusted") and "0.5 s" in n for n in result.notes)
+
+
 def test_a_short_clip_is_not_taken_for_its_ends():
     time_s = np.arange(15) / 25
     clip = np.stack([time_s, 1 + np.exp(-(((time_s - 0.3) / 0.06) ** 2))], axis=1)
