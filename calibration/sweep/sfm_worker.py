@@ -44,9 +44,6 @@ POLISH_ITERATIONS = 200  # 20 to 40 are usual
 # Where lenses have neither tangential distortion nor oblong pixels, residuals are at most 1.0005 times as large
 # without them (ten captures).
 PLAIN_LENS = 1.002
-DOUBTFUL_PX = (
-    1.0  # mean reprojection error from which it is asked whether the lens zoomed: that takes seconds
-)
 LEAST_POINTS = 30  # of a picture; with fewer its pose is a guess, and health refuses what is built on it
 MOST_WEAK = 0.2  # of the pictures: where more are weak, leaving them out mends nothing
 FULL, PLAIN = pycolmap.CameraModelId.OPENCV, pycolmap.CameraModelId.RADIAL
@@ -128,9 +125,8 @@ def _publish(mapping: Mapping, database: Path, job: dict[str, Any], held: set[in
         _say(0.98, "bundle adjustment")
         weak = _without_weak(mapping.best)
         mapping.best, adjusted = _polish(mapping.best, job["principal_point_from"], held)
-        doubted = not adjusted["plain_lens"] or _error(mapping.best) > DOUBTFUL_PX
-        doubted &= job["film"] and not held and mapping.deadline.left_s() > 0
-        adjusted["zoom"] = _zoomed(mapping.best) if doubted else None
+        asked = job["film"] and not held and mapping.deadline.left_s() > 0
+        adjusted["zoom"] = _zoomed(mapping.best, not adjusted["plain_lens"]) if asked else None
     with pycolmap.Database.open(str(database)) as db:
         write_two_views(db, _images_of, _kind, Path(job["out"]))
         written = write_model(mapping.best, db, Path(job["out"]))
@@ -308,8 +304,8 @@ def _without_weak(model: pycolmap.Reconstruction) -> list[str]:
     return sorted(i.name for i in weak)
 
 
-def _zoomed(model: pycolmap.Reconstruction) -> dict[str, Any] | None:
-    """Where a film's lens zoomed: the first picture after it, focal lengths, errors with one lens and with two."""
+def _zoomed(model: pycolmap.Reconstruction, doubted: bool) -> dict[str, Any] | None:
+    """Where a film's lens zoomed: the first picture after it, the focal lengths, the error with both."""
     seen = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
     if len(model.cameras) > 1 or model.cameras[seen[0].camera_id].model != FULL:
         return None
@@ -326,7 +322,7 @@ def _zoomed(model: pycolmap.Reconstruction) -> dict[str, Any] | None:
         focals = [two.cameras[n].mean_focal_length() for n in sorted(two.cameras)]
         return TwoLenses(_error(two), focals[0], focals[-1])
 
-    found = zoom_step(fit, len(seen))
+    found = zoom_step(fit, len(seen), doubted)
     if found is None:
         return None
     cut, lenses = found

@@ -54,8 +54,8 @@ def sweep_measures(
     yield Measure("sweep-flat", plane_share(model))
     yield Measure("sweep-rolling", fits.rows_px)
     zooms, zoom = two_zooms(model, fits, ZOOMS_APART), (model.report["adjustment"] or {}).get("zoom")
-    if zoom is not None and moved <= CROP_MOVES:  # that moves focal lengths, too
-        before, after = zoom["focal_px"]
+    before, after = (1.0, 1.0) if zoom is None else zoom["focal_px"]
+    if zoom is not None and abs(after - before) > ZOOMS_APART * before and moved <= CROP_MOVES:
         facts = {"at": zoom["from"], "before": before, "after": after}
         text = f"{before:.0f}, later {after:.0f} px"
         yield Measure("sweep-focal", text, "one for all pictures", "zoomed", facts)

@@ -172,28 +172,28 @@ model = pycolmap.synthesize_dataset(options)
 noise = pycolmap.SyntheticNoiseOptions()
 noise.point2D_stddev = 0.4
 pycolmap.synthesize_noise(noise, model)
-none, weak = worker._zoomed(model), []
+none = worker._zoomed(model, True)
 images = sorted((i for i in model.images.values()), key=lambda i: i.name)
 for image in images[10:]:
     for point in image.points2D:
         point.xy = (point.xy - [320, 240]) * 1.15 + [320, 240]
 model, adjusted = worker._polish(model, 20, set())
-error = worker._error(model)
-found = worker._zoomed(model)
+found = worker._zoomed(model, False)
 for n, point in enumerate(images[3].points2D):
     if point.has_point3D() and images[3].num_points3D > 20:
         model.delete_observation(images[3].image_id, n)
 poor, weak = images[3].name, worker._without_weak(model)
 left = sorted(i.name for i in model.images.values() if i.has_pose)
-print(json.dumps([none, adjusted["plain_lens"], error, found, images[10].name, weak, poor, len(left)]))
+print(json.dumps([none, found, images[10].name, weak, poor, len(left)]))
 """
 
 
+@pytest.mark.full
 def test_a_zoom_in_mid_film_is_found_and_a_picture_of_few_points_left_out():
     done = subprocess.run([sys.executable, "-c", HALVES], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    none, plain_lens, error_px, found, first, weak, poor, left = json.loads(done.stdout.splitlines()[-1])
-    assert none is None and (not plain_lens or error_px > 1)
+    none, found, first, weak, poor, left = json.loads(done.stdout.splitlines()[-1])
+    assert none is None
     assert found["from"] == first and found["focal_px"][1] / found["focal_px"][0] == pytest.approx(
         1.15, abs=0.02
     )
