@@ -21,6 +21,7 @@ class Measure:
         found: How bad a text is.
         warn, fail: Bounds that depend on what was measured, in place of the table's.
         refuses: Whether it may stop a run; of test cameras nothing does.
+        others: Values of the cameras that are no worse: a run that enough of them carry is not stopped.
     """
 
     code: str
@@ -32,6 +33,7 @@ class Measure:
     warn: float | int | None = None
     fail: float | int | None = None
     refuses: bool = True
+    others: tuple[float, ...] = ()
 
 
 def of_test(name: str, measures: Iterable[Measure]) -> list[Measure]:

@@ -11,6 +11,7 @@ import yaml
 
 from devrf.capture.measure import Measure, Verdict
 
+ENOUGH = 2  # cameras that carry a run without the poorest one
 TABLE = Path(__file__).with_name("table.yaml")
 Bounds = Sequence[float | int | None]  # from where on it warns, and fails
 
@@ -94,10 +95,13 @@ def judge(measures: Iterable[Measure]) -> list[HealthRow]:
 def _row(m: Measure, entry: Entry) -> HealthRow:
     bounds = entry.high or entry.low or (None, None)
     warn, fail = (b if a is None else a for a, b in zip((m.warn, m.fail), bounds, strict=True))
-    value, verdict = _judged(m.value, warn, fail if m.refuses else None, 1.0 if entry.high else -1.0)
+    sign = 1.0 if entry.high else -1.0
+    carried = sum(_judged(other, warn, fail, sign)[1] != "fail" for other in m.others) >= ENOUGH
+    refuses = m.refuses and not carried
+    value, verdict = _judged(m.value, warn, fail if refuses else None, sign)
     if isinstance(value, str):
         warn, fail, verdict = None, None, m.found
-    if not m.refuses:
+    if not refuses:
         fail, verdict = None, "warn" if verdict == "fail" else verdict
     remedy = ""
     if verdict != "ok":

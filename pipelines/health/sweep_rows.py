@@ -1,6 +1,7 @@
 """What a recovered sweep measures of itself: how much was registered, how well it is fixed, which fault it shows."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from devrf.calibration.intrinsics import Intrinsics
@@ -23,6 +24,7 @@ POOR_POINTS = 100  # of a picture: named in the remedy
 MOVING_SHARE = 0.1  # of a picture's textured tiles
 OBLONG = 2.0  # percent by which focal lengths across and down differ beyond what the file says
 CROP_MOVES = 0.5  # percent of the width; of lenses that stay it is below 0.1
+FOLLOWS = ("sweep-registered", "sweep-points", "sweep-in-parts", "sweep-contradicts")
 CROP_GONE = 50.0  # as far as that is measured
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 MODEL = "what its lens model holds"
@@ -38,18 +40,20 @@ def sweep_measures(
     side_px: int = MAX_IMAGE_SIZE,
     pixel_aspect: float = 1.0,
 ) -> Iterator[Measure]:
-    """All that is asked of a recovered sweep.
+    """All that is asked of a recovered sweep; where no one lens took the pictures, that is the remedy of what follows.
 
     Args:
         board: Intrinsics by a board, where there is one.
         side_px: Longer side of the pictures in which features were looked for.
         pixel_aspect: Width of a pixel over its height, as the file says.
     """
-    yield from _registered(model.report)
-    yield from _pairs(model.report)
-    yield from _lenses(model, board, pixel_aspect)
     fits = picture_fits(model)
     moved = min(CROP_GONE, 100 * moving_centre(model, fits))
+    no_lens = moved > CROP_MOVES or max(oblong(c, pixel_aspect) for c in model.cameras) > OBLONG / 100
+    for measure in (*_registered(model.report), *_pairs(model.report)):
+        follows = no_lens and measure.code in FOLLOWS and measure.why != "left"
+        yield replace(measure, why="lens") if follows else measure
+    yield from _lenses(model, board, pixel_aspect)
     yield Measure("sweep-centre", moved, "from picture to picture", "moves", warn=CROP_MOVES)
     yield Measure("sweep-flat", plane_share(model))
     yield Measure("sweep-rolling", fits.rows_px)

@@ -142,7 +142,8 @@ def _filmed(cameras: dict[str, CameraFrames]) -> Iterator[Measure]:
     gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
     worst = max(gaps, key=lambda name: gaps[name])
     lost = next((text for text in cameras[worst].notes if "frames missing" in text), "frames are missing")
-    yield Measure("frames-dropped", gaps[worst], worst, facts={"source": cameras[worst].source, "lost": lost})
+    facts, others = {"source": cameras[worst].source, "lost": lost}, tuple(sorted(gaps.values())[:-1])
+    yield Measure("frames-dropped", gaps[worst], worst, facts=facts, others=others)
 
 
 def _exposure(cameras: dict[str, CameraFrames]) -> Measure:
