@@ -1,6 +1,6 @@
 """What rooms and stages measure of their own results: a code, a number, and what it is about; nobody judges here."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf, isnan
 from typing import Any, Literal
@@ -33,7 +33,7 @@ class Measure:
     warn: float | int | None = None
     fail: float | int | None = None
     refuses: bool = True
-    others: tuple[float, ...] = ()
+    others: Sequence[float] = ()
 
 
 def of_test(name: str, measures: Iterable[Measure]) -> list[Measure]:

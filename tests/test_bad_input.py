@@ -278,6 +278,7 @@ def deaf(source: Path, path: Path) -> None:
             copy.mux(new)
 
 
+@pytest.mark.full
 def test_sound_that_does_not_decode_is_left_out(devrf: Callable, tmp_path: Path, material: Path) -> None:
     """Where it is asked for, what is proposed instead leads on."""
     deaf(material / "cam1.mp4", tmp_path / "deaf.mp4")

@@ -90,11 +90,15 @@ def motion_delay(
     found = _delay(first, second, rest)
     if found is None:
         return None
-    inner = _delay(*(m[inside(m[:, 0], (m[0, 0], m[-1, 0]))] for m in (first, second)), rest)
+    inner = _delay(_inside(first), _inside(second), rest)
     if inner is None:
         return replace(found, lasts=False)
     limit_s = LASTING_SIGMAS * np.hypot(found.std_s, inner.std_s)
     return replace(found, lasts=bool(abs(inner.delay_s - found.delay_s) <= limit_s))
+
+
+def _inside(course: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
+    return course[inside(course[:, 0], (course[0, 0], course[-1, 0]))]
 
 
 def _delay(
