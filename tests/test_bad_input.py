@@ -360,7 +360,9 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
     assert result.code == 3, result.said
     few = re.search(r"^rig: .*\bcam1\b.* (\d+) inliers, need 30 ", result.err)  # chance agrees on some
     assert few is not None and int(few[1]) < 10 and "[rig-unlinked-camera]" in result.err
-    assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
+    assert (tmp_path / "run" / "static_poses" / "stamp.json").exists() and "capture.cameras" in result.err
+    without = scene(tmp_path, material, cameras={"cam0": str(material / "cam0.mp4")})  # as is proposed
+    assert devrf("run", without, "--until", "rig", *settings).code == 0
 
 
 # --- a full disk ---
