@@ -18,6 +18,7 @@ from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.static_poses import SweepOptions, read_static_poses, recover_static_poses
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.system.errors import CalibrationError, HealthError
+from devrf.pipelines.health.judge import entries
 
 FOCAL = 300.0  # what the corner is drawn with
 VIEWS = 9
@@ -184,7 +185,7 @@ for n, point in enumerate(images[3].points2D):
         model.delete_observation(images[3].image_id, n)
 poor, weak = images[3].name, worker._without_weak(model)
 left = sorted(i.name for i in model.images.values() if i.has_pose)
-print(json.dumps([none, found, images[10].name, weak, poor, len(left)]))
+print(json.dumps([worker.LEAST_POINTS, none, found, images[10].name, weak, poor, len(left)]))
 """
 
 
@@ -192,8 +193,8 @@ print(json.dumps([none, found, images[10].name, weak, poor, len(left)]))
 def test_a_zoom_in_mid_film_is_found_and_a_picture_of_few_points_left_out():
     done = subprocess.run([sys.executable, "-c", HALVES], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    none, found, first, weak, poor, left = json.loads(done.stdout.splitlines()[-1])
-    assert none is None
+    least, none, found, first, weak, poor, left = json.loads(done.stdout.splitlines()[-1])
+    assert none is None and least == (entries()["sweep-points"].low or ())[1]
     assert found["from"] == first and found["focal_px"][1] / found["focal_px"][0] == pytest.approx(
         1.15, abs=0.02
     )
