@@ -1,6 +1,6 @@
 """What rooms and stages measure of their own results: a code, a number, and what it is about; nobody judges here."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf, isnan
 from typing import Any, Literal
@@ -21,7 +21,6 @@ class Measure:
         found: How bad a text is.
         warn, fail: Bounds that depend on what was measured, in place of the table's.
         refuses: Whether it may stop a run; of test cameras nothing does.
-        others: Values of the cameras that are no worse: a run that enough of them carry is not stopped.
     """
 
     code: str
@@ -33,7 +32,6 @@ class Measure:
     warn: float | int | None = None
     fail: float | int | None = None
     refuses: bool = True
-    others: Sequence[float] = ()
 
 
 def of_test(name: str, measures: Iterable[Measure]) -> list[Measure]:

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from devrf.capture.measure import Measure, highest, lowest
 from devrf.flow.checks import FlowChecks
+from devrf.pipelines.health.judge import carried
 
 
 def flow_measures(checks: Mapping[str, FlowChecks], given: bool = False) -> Iterator[Measure]:
@@ -13,13 +14,14 @@ def flow_measures(checks: Mapping[str, FlowChecks], given: bool = False) -> Iter
     """
     if checks and not given:  # of a plain backdrop nothing is known
         valid = {n: check.valid or 0.0 for n, check in checks.items()}
-        name, *others = sorted(valid, key=lambda n: valid[n])
-        yield Measure("flow-consistent", checks[name].valid, name, others=tuple(valid[n] for n in others))
+        name = min(valid, key=lambda n: valid[n])
+        refuses = not carried("flow-consistent", valid.values())
+        yield Measure("flow-consistent", checks[name].valid, name, refuses=refuses)
     moving = {name: check for name, check in checks.items() if check.moving_valid is not None}
     if moving:
         yield lowest("flow-moving", {name: check.moving_valid or 0.0 for name, check in moving.items()})
         ratio = {n: c.warp_ratio or 0.0 for n, c in moving.items()}
-        yield highest("flow-warping", ratio, others=tuple(sorted(ratio.values())[:-1]))
+        yield highest("flow-warping", ratio, refuses=not carried("flow-warping", ratio.values()))
         for name, check in moving.items():
             if check.better_as is not None:
                 whose = "in the data set's flow" if given else "in the method's result (flow.method)"

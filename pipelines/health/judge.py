@@ -11,7 +11,7 @@ import yaml
 
 from devrf.capture.measure import Measure, Verdict
 
-ENOUGH = 2  # cameras that carry a run without the poorest one
+ENOUGH = 2  # cameras
 TABLE = Path(__file__).with_name("table.yaml")
 Bounds = Sequence[float | int | None]  # from where on it warns, and fails
 
@@ -83,6 +83,14 @@ def warns_at(code: str) -> float:
     return float(bounds[0])
 
 
+def carried(code: str, values: Iterable[float]) -> bool:
+    """Whether enough cameras are good enough to carry a run, which is then not refused for the poorest one."""
+    entry = entries()[code]
+    warn, fail = entry.high or entry.low or (None, None)
+    sign = 1.0 if entry.high else -1.0
+    return sum(_judged(value, warn, fail, sign)[1] != "fail" for value in values) >= ENOUGH
+
+
 def judge(measures: Iterable[Measure]) -> list[HealthRow]:
     """A row for each measure; what could not be measured is a warning.
 
@@ -95,13 +103,10 @@ def judge(measures: Iterable[Measure]) -> list[HealthRow]:
 def _row(m: Measure, entry: Entry) -> HealthRow:
     bounds = entry.high or entry.low or (None, None)
     warn, fail = (b if a is None else a for a, b in zip((m.warn, m.fail), bounds, strict=True))
-    sign = 1.0 if entry.high else -1.0
-    carried = sum(_judged(other, warn, fail, sign)[1] != "fail" for other in m.others) >= ENOUGH
-    refuses = m.refuses and not carried
-    value, verdict = _judged(m.value, warn, fail if refuses else None, sign)
+    value, verdict = _judged(m.value, warn, fail if m.refuses else None, 1.0 if entry.high else -1.0)
     if isinstance(value, str):
         warn, fail, verdict = None, None, m.found
-    if not refuses:
+    if not m.refuses:
         fail, verdict = None, "warn" if verdict == "fail" else verdict
     remedy = ""
     if verdict != "ok":
