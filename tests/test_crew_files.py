@@ -82,7 +82,7 @@ def cut_out(kind: str, n: int, picture: np.ndarray) -> np.ndarray:
 @pytest.mark.full
 @pytest.mark.parametrize(
     ("kind", "about", "named"),
-    [("stabilised", "from picture to picture", "tabilisation"), ("zoomed", "one for all pictures", "000036")],
+    [("stabilised", "itself, across and down", "tabilisation"), ("zoomed", "one for all pictures", "000036")],
 )
 def test_sweeps_whose_lens_is_elsewhere_in_each_picture(
     data_dir: Path, tmp_path: Path, devrf: Command, kind: str, about: str, named: str
