@@ -264,6 +264,45 @@ def test_clips_without_sound_that_are_to_be_heard(devrf: Callable, tmp_path: Pat
     )
 
 
+def deaf(source: Path, path: Path) -> None:
+    """A copy whose sound track is noise that no decoder takes."""
+    rng = np.random.default_rng(0)
+    with av.open(str(source)) as given, av.open(str(path), "w") as copy:
+        streams = {s.index: copy.add_stream_from_template(s) for s in given.streams}
+        for packet in given.demux():
+            if packet.dts is None:
+                continue
+            new = av.Packet(rng.bytes(packet.size)) if packet.stream.type == "audio" else packet
+            new.pts, new.dts, new.time_base = packet.pts, packet.dts, packet.time_base
+            new.stream = streams[packet.stream.index]
+            copy.mux(new)
+
+
+@pytest.mark.full
+def test_sound_that_does_not_decode_is_left_out(devrf: Callable, tmp_path: Path, material: Path) -> None:
+    """Where it is asked for, what is proposed instead leads on."""
+    deaf(material / "cam1.mp4", tmp_path / "deaf.mp4")
+    path = scene(tmp_path, material, static=None, cameras=cameras(material, str(tmp_path / "deaf.mp4")))
+    rig = {
+        "width": SIZE[0],
+        "height": SIZE[1],
+        "K": [[300, 0, SIZE[0] / 2], [0, 300, SIZE[1] / 2], [0, 0, 1]],
+    }
+    poses = {f"cam{n}": rig | {"cam_from_world": np.eye(4)[:3].tolist()} for n in range(2)}
+    poses["cam1"]["cam_from_world"][0][3] = 1.0
+    (tmp_path / "rig.json").write_text(json.dumps({"cameras": poses, "scale": {"metric": True}}))
+    command = ["run", path, "--until", "sync", "--set", f"calibration.rig.given={tmp_path / 'rig.json'}"]
+    asked = devrf(*command, "--set", "calibration.sync.method=audio")
+    assert asked.code == 1 and re.search(
+        r"\bcam1\b.* calibration\.sync\.method .*motion.*\[sound-missing\]", asked.err
+    )
+    camera = json.loads((tmp_path / "run" / "ingest" / "ingest.json").read_text())["cameras"]["cam1"]
+    assert [f["code"] for f in camera["faults"]] == ["not-used"] and "decode" in camera["faults"][0]["value"]
+    for method in ("auto", "flash", "motion"):
+        done = devrf(*command, "--set", f"calibration.sync.method={method}")
+        assert done.code in (0, 3) and "sound-missing" not in done.said, done.said
+
+
 def test_a_range_outside_the_table_of_times(devrf: Callable, tmp_path: Path, material: Path) -> None:
     rows = [f"{name},{n},{40 + n / 10}" for name in ("cam0", "cam1") for n in range(CLIP_FRAMES)]
     (tmp_path / "times.csv").write_text("\n".join(["camera,frame_index,time_s", *rows]))
@@ -321,7 +360,9 @@ def test_a_camera_that_shares_no_view_with_the_sweep(devrf: Callable, tmp_path: 
     assert result.code == 3, result.said
     few = re.search(r"^rig: .*\bcam1\b.* (\d+) inliers, need 30 ", result.err)  # chance agrees on some
     assert few is not None and int(few[1]) < 10 and "[rig-unlinked-camera]" in result.err
-    assert (tmp_path / "run" / "static_poses" / "stamp.json").exists()
+    assert (tmp_path / "run" / "static_poses" / "stamp.json").exists() and "capture.cameras" in result.err
+    without = scene(tmp_path, material, cameras={"cam0": str(material / "cam0.mp4")})  # as is proposed
+    assert devrf("run", without, "--until", "rig", *settings).code == 0
 
 
 # --- a full disk ---

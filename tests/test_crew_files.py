@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -18,6 +19,8 @@ from devrf.capture.photos.extract import extract_folder
 from devrf.capture.photos.raw_compression import compression_of
 from devrf.capture.photos.upright_pictures import read_picture
 from devrf.capture.session import CaptureSession, preflight
+from devrf.capture.video.reader import VideoReader
+from devrf.capture.video.video_writer import write_video
 
 Copy = Callable[[str], Path]
 
@@ -82,6 +85,35 @@ def test_clips_that_ask_to_be_mirrored(crew_files: Path, tmp_path: Path, kind: s
     assert len(seen) == len(want) >= 10
     assert max(np.abs(a - b).mean() for a, b in zip(want, seen, strict=True)) < 4  # compressed twice
     assert any("mirrored" in note for note in frames.notes)
+
+
+def cut_out(kind: str, n: int, picture: np.ndarray) -> np.ndarray:
+    """560x314 of picture n of a sweep of 640x360, as a phone hands it on that stabilises, or zooms in picture 36."""
+    x, y = (36 * np.sin(0.9 * n), 20 * np.cos(1.3 * n)) if kind == "stabilised" else (0.0, 0.0)
+    zoom = 1.15 if kind == "zoomed" and n >= 36 else 1.0
+    around = cv2.getRotationMatrix2D((320 + x, 180 + y), 0.0, zoom)
+    around[:, 2] += [280 - 320 - x, 157 - 180 - y]
+    return cv2.warpAffine(picture, around, (560, 314), flags=cv2.INTER_LINEAR)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("kind", "about", "named"),
+    [("stabilised", "itself, across and down", "tabilisation"), ("zoomed", "one for all pictures", "000036")],
+)
+def test_sweeps_whose_lens_is_elsewhere_in_each_picture(
+    data_dir: Path, tmp_path: Path, devrf: Command, kind: str, about: str, named: str
+) -> None:
+    with VideoReader(data_dir / "kuka_room" / "static.mp4") as reader:
+        pictures = [cut_out(kind, n, frame.rgb) for n, frame in enumerate(reader)]
+    write_video(tmp_path / "sweep.mp4", pictures, 30.0, {"crf": "18"})
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("name: sweep\noutput: run\ncapture: {static: sweep.mp4}\n")
+    done = devrf("run", scene, "--until", "static_poses", "--preset", "tiny")
+    rows = json.loads((tmp_path / "run" / "static_poses" / "health.json").read_text())["rows"]
+    found = {row["about"]: row for row in rows if row["verdict"] != "ok"}
+    assert done.code == 3 and named in found[about]["remedy"]
+    assert "itself, across and down" in found
 
 
 @pytest.mark.full

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 from devrf.calibration.boards.detect import MIN_CORNERS, detector, edge_width
-from devrf.calibration.boards.instead import seen_instead
-from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, settle
+from devrf.calibration.boards.instead import PICTURES, seen_instead
+from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, settle, spread
 from devrf.calibration.boards.spec import BoardSpec, BoardView
 from devrf.capture.photos.upright_pictures import read_grey
 from devrf.capture.system.errors import HealthError
@@ -36,7 +37,7 @@ def find_board(
     elif (found := settle(name, files, spec, required)) is not None:
         settled = found
     elif required:
-        raise HealthError("board-never-seen", never_seen(name, len(files), spec, seen_instead(files)))
+        raise HealthError("board-never-seen", never_seen(name, len(files), spec, _instead(files)))
     else:
         return [], spec
     views = _search(name, files, settled, progress)
@@ -45,8 +46,12 @@ def find_board(
         if other is not None:
             settled, views = other, _search(name, files, other, progress)
     if not views and required:
-        raise HealthError("board-never-seen", never_seen(name, len(files), settled, seen_instead(files)))
+        raise HealthError("board-never-seen", never_seen(name, len(files), settled, _instead(files)))
     return views, settled
+
+
+def _instead(files: Sequence[Path]) -> str:
+    return seen_instead([read_grey(file) for file in islice(spread(files), PICTURES)])
 
 
 def _search(name: str, files: Sequence[Path], spec: BoardSpec, progress: Progress) -> list[BoardView]:

@@ -58,7 +58,7 @@ class BoardGuess:
 
 
 def guess_board(greys: Sequence[Grey]) -> BoardGuess | None:
-    """The board that most of the pictures show; None where none is seen at least twice."""
+    """The board that most of the pictures show; None where none is seen at least twice, or only mirrored."""
     for inverted in (False, True):
         found = _guess_markers([255 - grey if inverted else grey for grey in greys])
         if found is not None:
@@ -177,8 +177,12 @@ def _is_found(spec: BoardSpec, greys: Sequence[Grey]) -> bool:
 
 
 def _guess_chessboard(greys: Sequence[Grey]) -> BoardGuess | None:
-    sizes = Counter(size for grey in greys if (size := chessboard_size(grey)) is not None)
+    shown = {n: size for n, grey in enumerate(greys) if (size := chessboard_size(grey)) is not None}
+    sizes = Counter(shown.values())
     if not sizes:
+        return None
+    mirrored = [np.ascontiguousarray(greys[n][:, ::-1]) for n in list(shown)[:SEEN_TWICE]]
+    if _most_seen(mirrored, 1)[1]:  # squares of a board with markers look alike in a mirror, markers do not
         return None
     size, count = max(sizes.items(), key=lambda item: (item[1], item[0][0] * item[0][1]))
     if count < max(SEEN_TWICE, sum(sizes.values()) / 2):  # parts of a pattern change from picture to picture

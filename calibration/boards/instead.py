@@ -1,14 +1,12 @@
 """What pictures show where the described board is never found: other markers, mirrored ones, a chessboard."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from devrf.calibration.boards.guess import OF_BORDER, Grey, chessboard_size
-from devrf.calibration.boards.layout import TRIAL_MARKERS, spread
+from devrf.calibration.boards.layout import TRIAL_MARKERS
 from devrf.calibration.boards.spec import dictionary, marker_finder
-from devrf.capture.photos.upright_pictures import read_grey
 
 PICTURES = 4  # all dictionaries take a second in each
 LOOKS = (  # mirrored, white on black, cells of border
@@ -19,9 +17,8 @@ MIRRORED = (
 )
 
 
-def seen_instead(files: Sequence[Path]) -> str:
-    """What a few of the pictures show, in words; empty where it is nothing that is known."""
-    greys = [read_grey(file) for _, file in zip(range(PICTURES), spread(files), strict=False)]
+def seen_instead(greys: Sequence[Grey]) -> str:
+    """What a few pictures show, in words; empty where it is nothing that is known."""
     for mirrored, inverted, border in LOOKS:
         turned = [grey[:, ::-1] if mirrored else grey for grey in greys]
         found = _markers([np.ascontiguousarray(255 - g if inverted else g) for g in turned], border)

@@ -12,6 +12,7 @@ from devrf.calibration.clocks.equations import Equation, PairCue, groups
 from devrf.calibration.clocks.flash import Brightness, Flashes, find_flashes, flash_delay
 from devrf.calibration.clocks.motion import MotionDelay, motion_delay
 from devrf.calibration.clocks.sound import ACCEPT_RATIO, SoundDelay, sound_delay
+from devrf.calibration.clocks.spans import EDGE_S
 from devrf.calibration.clocks.times import stated_delay
 from devrf.capture.rest import Rest
 from devrf.capture.system.progress import Progress
@@ -23,6 +24,7 @@ GUESS_SCORE = 2.0
 PRIOR_STD_S = 0.1  # a delay known this well beforehand can settle which of several peaks of sound is right
 PRIOR_SIGMAS = 3.0
 PRIOR_CONFIDENCE = 0.75  # of sound that needed it
+AT_EDGES = f"without the first and last {EDGE_S} s of the clips it is another"
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,7 @@ def watch(
                 out.notes.append(f"{a} and {b}: too little motion to compare")
             continue
         quality = found.correlation * min(1.0, max(0.0, found.margin) / 0.1)
-        guess = not found.accepted and found.score >= GUESS_SCORE and found.margin > 0
+        guess = not found.accepted and found.lasts and found.score >= GUESS_SCORE and found.margin > 0
         moment = (found.first_s, found.first_s - found.delay_s)
         equation = Equation(a, b, *moment, found.std_s, "motion", quality, found.accepted, guess, found.score)
         if not needed:
@@ -243,7 +245,9 @@ def watch(
         out.curves.append(
             Curve(a, b, "motion", found.delay_s, quality, found.accepted, found.lags_s, found.values)
         )
-        if not found.accepted:
+        if not found.lasts:
+            out.notes.append(f"{a} and {b}: motion not trusted, {AT_EDGES}")
+        elif not found.accepted:
             out.notes.append(
                 f"{a} and {b}: motion not trusted (correlation {found.correlation:.2f}, {found.score:.1f} "
                 f"standard deviations from chance, {found.margin:.2f} above the next best)"

@@ -17,12 +17,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import median_filter
 
+from devrf.calibration.clocks.spans import inside
+
 SEEN_SIGMAS = 5.0  # a jump of the brightness between frames this many standard deviations high is an event
 LEAST_LEVELS = 1.5  # and at least this high, in levels of 255: an encoder's key frames jump by half a level
 SLOW_FRAMES = 15  # changes over more frames than this are exposure and daylight
 EVENT_FRAMES = 3  # a flash is over after this many
 LIT_ROWS = 0.25  # of the largest change: rows that change less do not see the light
-STEP_FRAMES = 8  # before and after a step: fewer are how a file begins or ends
 STEP_SHARE = 0.5  # what remains afterwards, of the change: more is a lamp switched on or off
 READOUT_SHARE, READOUT_STD = 0.7, 0.15  # of a frame: prior, phones and action cameras
 KNOWN_READOUT_STD = 0.02  # of a given readout
@@ -103,20 +104,18 @@ class FlashDelay:
 
 
 def find_flashes(brightness: Brightness, readout_s: float | None = None) -> Flashes:
-    """Sudden changes of the light in one clip."""
+    """Sudden changes of the light in one clip, but for those at the edges of its file."""
     step_s = float(np.median(np.diff(brightness.time_s)))
     assumed_s = READOUT_SHARE * step_s if readout_s is None else readout_s
     mean = brightness.rows.mean(axis=1)
     jump = np.diff(mean)
     jump = jump - median_filter(jump, min(SLOW_FRAMES, len(jump)), mode="nearest")
     sigma = max(1.4826 * float(np.median(np.abs(jump))), LEAST_LEVELS / SEEN_SIGMAS)
+    time_s = brightness.time_s
+    jump[~inside((time_s[1:] + time_s[:-1]) / 2, (time_s[0], time_s[-1]))] = 0.0
     loud = np.flatnonzero(np.abs(jump) > SEEN_SIGMAS * sigma)
-    events = []
-    for group in _grouped(loud):
-        before, after = int(group[0]), int(group[-1]) + 1
-        event = _event(brightness, before, after, assumed_s)
-        if event is not None and not (event.kind == "step" and _at_end(before, after, len(mean))):
-            events.append(event)
+    found = [_event(brightness, int(group[0]), int(group[-1]) + 1, assumed_s) for group in _grouped(loud)]
+    events = [event for event in found if event is not None]
     times = np.array([e.frame_s + e.row * assumed_s for e in events])
     gaps = np.diff(times)
     periodic = len(events) >= PERIODIC_EVENTS and float(gaps.std()) < PERIODIC_SPREAD * float(gaps.mean())
@@ -175,11 +174,6 @@ def _event(brightness: Brightness, before: int, after: int, readout_s: float) ->
     row = (at[1] - at[0]) / (SLOPE_STEP * readout_s)
     kind = "step" if step else "pulse"
     return Flash(at[0] - row * readout_s, row, float(gap_s / np.sqrt(12)), kind, sign)
-
-
-def _at_end(before: int, after: int, count: int) -> bool:
-    """Whether a clip shows too little before or after a change to tell that it is one of the scene."""
-    return min(before + 1, count - after) < STEP_FRAMES
 
 
 def _extreme(change: Float[np.ndarray, "k r"]) -> Float[np.ndarray, " r"]:

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from scipy.signal import find_peaks
 
 from devrf.calibration.clocks.sound import fast_size, top_of_parabola
+from devrf.calibration.clocks.spans import inside
 from devrf.capture.rest import Rest
 
 OVERSAMPLING = 4  # grid points per frame step
@@ -35,6 +36,7 @@ GUESSED = 3.9  # of that, at most, where only rest beyond the clips tells which 
 ACCEPT_MARGIN = 0.1  # peak minus next best; periodic movement has equals one period away
 CURVE_S = 0.5
 REST_STEPS = 4  # pictures at the end of a clip
+LASTING_SIGMAS = 2.0  # by which an estimate may move when the files' edges are left out
 AT_REST = 0.25  # of the range of the energy's root: below it nothing moves
 
 
@@ -50,6 +52,7 @@ class MotionDelay:
         score: How many standard deviations that is away from chance.
         margin: How much more evidence (correlation times root of the overlap) it has than any rival.
         lags_s, values: The curve around the peak [n].
+        lasts: Whether it is found without the edges of the files, too.
     """
 
     delay_s: float
@@ -60,12 +63,14 @@ class MotionDelay:
     margin: float
     lags_s: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " n"]
+    lasts: bool = True
 
     @property
     def accepted(self) -> bool:
-        """Whether the peak is high and alone enough to be believed."""
+        """Whether the peak is high and alone enough to be believed, and does not come from the files' edges."""
         return (
-            self.correlation >= ACCEPT_CORRELATION
+            self.lasts
+            and self.correlation >= ACCEPT_CORRELATION
             and self.score >= ACCEPT_SCORE
             and self.margin >= ACCEPT_MARGIN
         )
@@ -82,6 +87,23 @@ def motion_delay(
     Returns:
         None where a clip is too short, or nothing moves in it.
     """
+    found = _delay(first, second, rest)
+    if found is None:
+        return None
+    inner = _delay(_inside(first), _inside(second), rest)
+    if inner is None:
+        return replace(found, lasts=False)
+    limit_s = LASTING_SIGMAS * np.hypot(found.std_s, inner.std_s)
+    return replace(found, lasts=bool(abs(inner.delay_s - found.delay_s) <= limit_s))
+
+
+def _inside(course: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]:
+    return course[inside(course[:, 0], (course[0, 0], course[-1, 0]))]
+
+
+def _delay(
+    first: Float[np.ndarray, "n 2"], second: Float[np.ndarray, "m 2"], rest: Rest
+) -> MotionDelay | None:
     if min(len(first), len(second)) < MIN_OVERLAP_STEPS:
         return None
     a, b = (_root(m[:, 1]) for m in (first, second))

@@ -4,7 +4,16 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+
+# At a file's edges exposure settles, microphones pop and encoders start: that is the camera's, not the scene's, and
+# it lies at one place in all files. So a delay is believed only if it is found without them, too.
+EDGE_S = 0.5
+
+
+def inside(time_s: Float[np.ndarray, " n"], span_s: tuple[float, float]) -> Bool[np.ndarray, " n"]:
+    """Which times are not at an edge of a file that lasts from `span_s[0]` to `span_s[1]`, seconds [n]."""
+    return (time_s >= span_s[0] + EDGE_S) & (time_s <= span_s[1] - EDGE_S)
 
 
 def span_of(filmed: Sequence[tuple[float, float]]) -> tuple[float, float] | None:

@@ -128,7 +128,7 @@ def spanning_tree(seen: Views) -> list[tuple[int, int]]:
             apart, rest = (", ".join(names[c] for c in some) for some in (lost, sorted(reached)))
             wrong = f"{apart} share{'s' if len(lost) == 1 else ''} no view of the board with {rest}"
             need = f"{best} corners seen at once, need {MIN_SHARED_POINTS} (200 are good)"
-            remedy = "hold the board where both see it, put a camera between them for the calibration, or use the sweep"
+            remedy = "hold the board where both see it, put a camera between them, use the sweep, or go on without it"
             raise HealthError("rig-unlinked-camera", f"{wrong}: {need}; {remedy}")
         tree.append((known, new))
         reached.add(new)

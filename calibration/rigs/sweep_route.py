@@ -117,8 +117,8 @@ def rig_from_sweep(
         progress(0.2 + 0.6 * (n + 1) / len(inputs), f"{item.name}: {most} inliers")
     if refused:
         remedy = (
-            "Add sweep pictures from near these cameras, looking the same way, "
-            "and check that they film the same place"
+            "Add sweep pictures from near these cameras, looking the same way, and check that they film the same "
+            "place; or go on without them: take them out of capture.cameras"
         )
         raise HealthError("rig-unlinked-camera", f"{'; '.join(refused)}. {remedy}")
     return _refined(model if standing is None else _with_standing(model, standing), inputs, found)

@@ -32,6 +32,7 @@ from devrf.calibration.sweep.sfm_output import (
     write_two_views,
 )
 from devrf.calibration.sweep.two_views import against_model, read_two_views, torn_apart
+from devrf.calibration.sweep.zoom_step import TwoLenses, zoom_step
 from devrf.capture.system.cores import usable_cores
 from devrf.capture.system.durable import whole
 from devrf.capture.system.processes import die_with_parent
@@ -43,6 +44,8 @@ POLISH_ITERATIONS = 200  # 20 to 40 are usual
 # Where lenses have neither tangential distortion nor oblong pixels, residuals are at most 1.0005 times as large
 # without them (ten captures).
 PLAIN_LENS = 1.002
+LEAST_POINTS = 30  # of a picture; with fewer its pose is a guess, and health refuses what is built on it
+MOST_WEAK = 0.2  # of the pictures: where more are weak, leaving them out mends nothing
 FULL, PLAIN = pycolmap.CameraModelId.OPENCV, pycolmap.CameraModelId.RADIAL
 
 
@@ -117,10 +120,13 @@ def _publish(mapping: Mapping, database: Path, job: dict[str, Any], held: set[in
         held: None leaves it as it is.
     """
     assert mapping.best is not None
-    adjusted = None
+    adjusted, weak = None, list[str]()
     if held is not None:
         _say(0.98, "bundle adjustment")
+        weak = _without_weak(mapping.best)
         mapping.best, adjusted = _polish(mapping.best, job["principal_point_from"], held)
+        asked = job["film"] and not held and mapping.deadline.left_s() > 0
+        adjusted["zoom"] = _zoomed(mapping.best, not adjusted["plain_lens"]) if asked else None
     with pycolmap.Database.open(str(database)) as db:
         write_two_views(db, _images_of, _kind, Path(job["out"]))
         written = write_model(mapping.best, db, Path(job["out"]))
@@ -128,6 +134,7 @@ def _publish(mapping: Mapping, database: Path, job: dict[str, Any], held: set[in
         **mapping.report(),
         "models": [sorted(i.name for i in m.images.values() if i.has_pose) for m in mapping.models],
         "adjustment": adjusted,
+        "weak": weak,
         **written,
     }
 
@@ -286,6 +293,61 @@ def _attempt(
     return list(models.values())
 
 
+def _without_weak(model: pycolmap.Reconstruction) -> list[str]:
+    """Take pictures out whose few points do not fix them (shaken ones, mostly), and name them."""
+    seen = [i for i in model.images.values() if i.has_pose]
+    weak = [i for i in seen if i.num_points3D < LEAST_POINTS]
+    if len(weak) > MOST_WEAK * len(seen):
+        return []
+    for image in weak:
+        model.deregister_frame(image.frame_id)
+    return sorted(i.name for i in weak)
+
+
+def _zoomed(model: pycolmap.Reconstruction, doubted: bool) -> dict[str, Any] | None:
+    """Where a film's lens zoomed: the first picture after it, the focal lengths, the error with both."""
+    seen = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
+    if len(model.cameras) > 1 or model.cameras[seen[0].camera_id].model != FULL:
+        return None
+    options = _adjustment()
+
+    def fit(cut: int) -> TwoLenses:
+        two = pycolmap.Reconstruction()
+        for n, part in enumerate((seen[:cut], seen[cut:]), 1):
+            if part:
+                _add_pictures(two, n, part, model.cameras[part[0].camera_id])
+        for point in model.points3D.values():
+            two.add_point3D(point.xyz, pycolmap.Track(list(point.track.elements)), point.color)
+        _adjust(two, options, set())
+        focals = [two.cameras[n].mean_focal_length() for n in sorted(two.cameras)]
+        return TwoLenses(_error(two), focals[0], focals[-1])
+
+    found = zoom_step(fit, len(seen), doubted)
+    if found is None:
+        return None
+    cut, lenses = found
+    return {
+        "from": seen[cut].name,
+        "focal_px": [lenses.before_px, lenses.after_px],
+        "error_px": lenses.error_px,
+    }
+
+
+def _add_pictures(
+    model: pycolmap.Reconstruction, camera_id: int, images: list[pycolmap.Image], lens: pycolmap.Camera
+) -> None:
+    """Add pictures and what they show, with a plain camera of their own that begins as this one."""
+    fx, fy, *centre_and_radial = lens.params[:6]
+    params = [float(np.sqrt(fx * fy)), *centre_and_radial]
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=camera_id, model=PLAIN, width=lens.width, height=lens.height, params=params)
+    )
+    for image in images:
+        xy = pycolmap.Point2DList([pycolmap.Point2D(p.xy) for p in image.points2D])
+        own = pycolmap.Image(name=image.name, points2D=xy, camera_id=camera_id, image_id=image.image_id)
+        model.add_image_with_trivial_frame(own, image.cam_from_world())
+
+
 def _polish(
     model: pycolmap.Reconstruction, principal_point_from: int, held: set[int]
 ) -> tuple[pycolmap.Reconstruction, dict[str, Any]]:
@@ -320,13 +382,18 @@ def _error(model: pycolmap.Reconstruction) -> float:
     return model.compute_mean_reprojection_error()
 
 
-def _adjusted(model: pycolmap.Reconstruction, principal_point_from: int, held: set[int]) -> dict[str, Any]:
+def _adjustment() -> pycolmap.BundleAdjustmentOptions:
     options = pycolmap.BundleAdjustmentOptions()
     options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     options.ceres.loss_function_scale = 1.0
     options.ceres.solver_options.max_num_iterations = POLISH_ITERATIONS
     options.ceres.solver_options.function_tolerance = POLISH_TOLERANCE
     options.ceres.solver_options.num_threads = MAPPER_THREADS
+    return options
+
+
+def _adjusted(model: pycolmap.Reconstruction, principal_point_from: int, held: set[int]) -> dict[str, Any]:
+    options = _adjustment()
     seen = Counter(i.camera_id for i in model.images.values() if i.has_pose)
     free = {camera: count for camera, count in seen.items() if camera not in held}
     options.refine_principal_point = bool(free) and min(free.values()) >= principal_point_from

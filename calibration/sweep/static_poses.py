@@ -189,7 +189,7 @@ def recover_static_poses(
         for made in ("colmap", "points.npz"):
             shutil.move(str(Path(work) / made), out / made)
     report = {key: result[key] for key in (
-        "given", "mean_reprojection_px", "mean_track_length", "points", "mapper", "attempts", "adjustment",
+        "given", "mean_reprojection_px", "mean_track_length", "points", "mapper", "attempts", "adjustment", "weak",
         "stopped", "pairs", "best_pair", "features_per_image", "frames", "cameras",
     )}  # fmt: skip
     report["registered"] = len(result["frames"])

@@ -18,13 +18,13 @@ from jaxtyping import Float
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, Role
 from devrf.capture.ingest.extract_clip import Keep, extract_clip
 from devrf.capture.ingest.recordings import chapter_faults
+from devrf.capture.measure import Measure
 from devrf.capture.photos.extract import extract_folder
 from devrf.capture.session import CaptureSession
 from devrf.capture.system.arrays import ArrayError, read_npy
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.progress import Progress, no_progress
-from devrf.capture.video.audio import Sound, read_sound, read_wav, write_wav
-from devrf.capture.video.reader import probe_video
+from devrf.capture.video.audio import Sound, heard, read_sound, read_wav, write_wav
 from devrf.capture.video.recorded import rate_faults, read_recorded
 from devrf.capture.video.slow_motion import length_faults
 from devrf.capture.video.timestamps import read_timestamps
@@ -37,17 +37,17 @@ SOUND_ROLES: tuple[Role, ...] = ("camera", "test", "joint")  # what needs a cloc
 
 
 def write_sounds(session: CaptureSession, out: Path) -> dict[str, Sound]:
-    """Decode the sound of the fixed cameras and of separate joint clips; names of silent ones are left out.
+    """Decode the sound of the fixed cameras and of separate joint clips; without those that cannot be heard.
 
     Raises:
-        InputError, CaptureError: As `read_sound`.
+        InputError: As `read_sound`.
     """
     folder = out / "audio"
     folder.mkdir(parents=True, exist_ok=True)
     sounds = {}
     for name, path in {**session.cameras, **_separate_joint_clips(session)}.items():
-        sound = read_sound(path)
-        if sound is not None and not sound.silent:
+        sound = heard(path)
+        if sound is not None:
             write_wav(folder / f"{name}.wav", sound)
             sounds[name] = sound
     return sounds
@@ -192,7 +192,11 @@ def with_clock_cues(frames: CameraFrames, sound: Sound | None, path: Path, whole
         faults=(*frames.faults, *rate_faults(recorded.timecode_fps, frames.fps_mean)),
     )
     if sound is None:
-        note = "the sound track is silent" if probe_video(path).has_audio else "no sound track"
+        try:
+            note = "no sound track" if read_sound(path) is None else "the sound track is silent"
+        except CaptureError as error:
+            wrong = str(error).removeprefix(f"{path}: ")
+            return replace(frames, faults=(*frames.faults, Measure("not-used", wrong, why="damaged")))
         return replace(frames, notes=(*frames.notes, note))
     notes = list(frames.notes)
     if sound.recorded_hz not in (None, sound.rate_hz):

@@ -94,13 +94,25 @@ def read_sound(path: Path) -> Sound | None:
             failure = f" ({error.strerror})"  # what decoded before the damage is used
     if not blocks:
         wrong = f"{path}: has a sound stream, but nothing of it decodes{failure}"
-        remedy = "remove the stream, or set calibration.sync.method to motion"
-        raise CaptureError("sound-undecodable", f"{wrong}; {remedy}")
+        raise CaptureError("sound-undecodable", f"{wrong}; copy the clip from the camera again")
     samples, start_s = _place(blocks, native_hz)
     if native_hz != RATE_HZ:
         factor = gcd(native_hz, RATE_HZ)
         samples = resample_poly(samples, RATE_HZ // factor, native_hz // factor).astype(np.float32)
     return Sound(samples, RATE_HZ, start_s, native_hz, choice.why)
+
+
+def heard(path: Path) -> Sound | None:
+    """The sound of a file; None where there is nothing to hear, or what there is cannot be decoded.
+
+    Raises:
+        InputError: As `read_sound`.
+    """
+    try:
+        sound = read_sound(path)
+    except CaptureError:
+        return None
+    return None if sound is None or sound.silent else sound
 
 
 def _listen(path: Path, container: InputContainer) -> Choice:

@@ -14,9 +14,8 @@ from devrf.capture.measure import Measure, Verdict, noted
 from devrf.capture.session import CaptureSession
 from devrf.capture.system.amounts import GB, counted, size_text
 from devrf.capture.system.durable import write_json
-from devrf.capture.system.errors import DevrfError
 from devrf.capture.system.progress import Progress, part
-from devrf.capture.video.audio import Sound, read_sound
+from devrf.capture.video.audio import heard
 from devrf.capture.video.timestamps import read_timestamps
 from devrf.pipelines.budget.disk import room_of
 from devrf.pipelines.budget.memory import allowed_bytes
@@ -98,7 +97,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
         seen = see_sweep(looks[SWEEP], part(progress, 0.0, 0.5))
         sweep = seen.features
         sections["sweep"] = [*ingest.ingested(FrameSet({SWEEP: seen.frames})), *seen.measures]
-    sounds = {name: sound for name, path in session.cameras.items() if (sound := _sound(path)) is not None}
+    sounds = {name: sound for name, path in session.cameras.items() if (sound := heard(path)) is not None}
     table = {} if session.timestamps is None else read_timestamps(session.timestamps, session.cameras)
     moving: dict[str, CameraFrames] = {}
     for n, (name, path) in enumerate(session.cameras.items()):
@@ -142,11 +141,3 @@ def _resources(config: SceneConfig, run_dir: Path) -> list[Measure]:
     facts = {"bound": room.bound, "mend": f"{room.remedy[0].upper()}{room.remedy[1:]}"}
     memory = f"a run may use {size_text(allowed_bytes(config))} of main memory"
     return [Measure("disk-room", room.count / GB, facts=facts), *noted([memory], "memory")]
-
-
-def _sound(path: Path) -> Sound | None:
-    try:
-        sound = read_sound(path)
-    except DevrfError:
-        return None  # preflight has said what is wrong with it, or the stage will
-    return None if sound is None or sound.silent else sound

@@ -43,6 +43,6 @@ def clock_measures(
         if unknown and len(sounds) > 1 and settings.method in ("auto", "motion", "flash"):
             result = solve(COURSE_S)
     except CalibrationError as error:
-        facts = {"reason": "no cue tells it", "hope": ""}
+        facts = {"reason": "no cue tells it", "hope": "", "leave": ""}
         return [Measure("clock-unknown", str(error), "all cameras", facts=facts, found="fail")]
     return sync.measures(moving, result)

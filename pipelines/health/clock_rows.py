@@ -23,7 +23,8 @@ def confidence_measure(name: str, clock: Clock, why: str, hope: str = "") -> Mea
         why: What is known of the reason, in words; empty: the clock's own basis.
         hope: What can still make it better, a sentence; with none a clock that is not known is refused.
     """
-    facts = {"reason": why or clock.basis, "hope": hope}
+    leave = f"; or go on without {name}: take it out of capture.cameras"
+    facts = {"reason": why or clock.basis, "hope": hope, "leave": leave}
     fail = None if hope else REFUSED_BELOW
     return Measure("clock-unknown", clock.confidence, name, facts=facts, fail=fail)
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from devrf.capture.measure import Measure, highest, lowest
 from devrf.flow.checks import FlowChecks
+from devrf.pipelines.health.judge import carried
 
 
 def flow_measures(checks: Mapping[str, FlowChecks], given: bool = False) -> Iterator[Measure]:
@@ -12,12 +13,15 @@ def flow_measures(checks: Mapping[str, FlowChecks], given: bool = False) -> Iter
     Given flow need not be consistent with a way back that nobody knows; its mask may leave out the backdrop.
     """
     if checks and not given:  # of a plain backdrop nothing is known
-        name = min(checks, key=lambda n: checks[n].valid or 0.0)
-        yield Measure("flow-consistent", checks[name].valid, name)
+        valid = {n: check.valid or 0.0 for n, check in checks.items()}
+        name = min(valid, key=lambda n: valid[n])
+        refuses = not carried("flow-consistent", valid.values())
+        yield Measure("flow-consistent", checks[name].valid, name, refuses=refuses)
     moving = {name: check for name, check in checks.items() if check.moving_valid is not None}
     if moving:
         yield lowest("flow-moving", {name: check.moving_valid or 0.0 for name, check in moving.items()})
-        yield highest("flow-warping", {n: c.warp_ratio or 0.0 for n, c in moving.items()})
+        ratio = {n: c.warp_ratio or 0.0 for n, c in moving.items()}
+        yield highest("flow-warping", ratio, refuses=not carried("flow-warping", ratio.values()))
         for name, check in moving.items():
             if check.better_as is not None:
                 whose = "in the data set's flow" if given else "in the method's result (flow.method)"

@@ -13,6 +13,7 @@ import yaml
 from devrf.capture.measure import Measure, Verdict
 
 log = logging.getLogger(__name__)
+ENOUGH = 2  # cameras
 TABLE = Path(__file__).with_name("table.yaml")
 Bounds = Sequence[float | int | None]  # from where on it warns, and fails
 
@@ -82,6 +83,14 @@ def warns_at(code: str) -> float:
     bounds = entries()[code].high or entries()[code].low
     assert bounds is not None and bounds[0] is not None
     return float(bounds[0])
+
+
+def carried(code: str, values: Iterable[float]) -> bool:
+    """Whether enough cameras are good enough to carry a run, which is then not refused for the poorest one."""
+    entry = entries()[code]
+    warn, fail = entry.high or entry.low or (None, None)
+    sign = 1.0 if entry.high else -1.0
+    return sum(_judged(value, warn, fail, sign)[1] != "fail" for value in values) >= ENOUGH
 
 
 def judge(measures: Iterable[Measure]) -> list[HealthRow]:

@@ -1,12 +1,15 @@
 """What a recovered sweep measures of itself: how much was registered, how well it is fixed, which fault it shows."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.checks import (
     field_of_view_deg,
     fold,
+    moving_centre,
+    oblong,
     open_loop,
     picture_fits,
     plane_share,
@@ -19,6 +22,10 @@ from devrf.capture.measure import Measure
 
 POOR_POINTS = 100  # of a picture: named in the remedy
 MOVING_SHARE = 0.1  # of a picture's textured tiles
+OBLONG = 2.0  # percent by which focal lengths across and down differ beyond what the file says
+CROP_MOVES = 0.5  # percent of the width; of lenses that stay it is below 0.1
+FOLLOWS = ("sweep-registered", "sweep-points", "sweep-in-parts", "sweep-contradicts")
+CROP_GONE = 50.0  # as far as that is measured
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 MODEL = "what its lens model holds"
 WIDE_DEG = 110.0  # across; wider lenses need a fisheye's model
@@ -28,22 +35,35 @@ CROP = "; is it the 35 mm equivalent of another crop?"
 
 
 def sweep_measures(
-    model: SweepModel, board: Intrinsics | None = None, side_px: int = MAX_IMAGE_SIZE
+    model: SweepModel,
+    board: Intrinsics | None = None,
+    side_px: int = MAX_IMAGE_SIZE,
+    pixel_aspect: float = 1.0,
 ) -> Iterator[Measure]:
-    """All that is asked of a recovered sweep.
+    """All that is asked of a recovered sweep; where no one lens took the pictures, that is the remedy of what follows.
 
     Args:
         board: Intrinsics by a board, where there is one.
         side_px: Longer side of the pictures in which features were looked for.
+        pixel_aspect: Width of a pixel over its height, as the file says.
     """
-    yield from _registered(model.report)
-    yield from _pairs(model.report)
-    yield from _lenses(model, board)
     fits = picture_fits(model)
+    moved = min(CROP_GONE, 100 * moving_centre(model, fits))
+    no_lens = moved > CROP_MOVES or max(oblong(c, pixel_aspect) for c in model.cameras) > OBLONG / 100
+    for measure in (*_registered(model.report), *_pairs(model.report)):
+        follows = no_lens and measure.code in FOLLOWS and measure.why != "left"
+        yield replace(measure, why="lens") if follows else measure
+    yield from _lenses(model, board, pixel_aspect)
+    yield Measure("sweep-centre", moved, "from picture to picture", "moves", warn=CROP_MOVES)
     yield Measure("sweep-flat", plane_share(model))
     yield Measure("sweep-rolling", fits.rows_px)
-    zooms = two_zooms(model, fits, ZOOMS_APART)
-    if zooms is not None:
+    zooms, zoom = two_zooms(model, fits, ZOOMS_APART), (model.report["adjustment"] or {}).get("zoom")
+    before, after = (1.0, 1.0) if zoom is None else zoom["focal_px"]
+    if zoom is not None and abs(after - before) > ZOOMS_APART * before and moved <= CROP_MOVES:
+        facts = {"at": zoom["from"], "before": before, "after": after}
+        text = f"{before:.0f}, later {after:.0f} px"
+        yield Measure("sweep-focal", text, "one for all pictures", "zoomed", facts)
+    elif zooms is not None:
         facts = {"short": some(zooms.short), "long": some(zooms.long)}
         text = f"two groups, {100 * (zooms.ratio - 1):.0f} % apart"
         yield Measure("sweep-focal", text, "one for all pictures", "zooms", facts)
@@ -62,6 +82,9 @@ def _registered(r: dict[str, Any]) -> Iterator[Measure]:
     yield Measure("sweep-error", r["mean_reprojection_px"])
     poor = some([n for n, p in counts.items() if p < POOR_POINTS])
     yield Measure("sweep-points", min(counts.values(), default=0), facts={"poor": poor})
+    if r["weak"]:
+        text = f"{len(r['weak'])} pictures with too few were left out"
+        yield Measure("sweep-points", text, why="left", facts={"weak": some(r["weak"])})
     turned = {"homographies": 100 * r["verified_pairs"]["homography_share"]}
     yield Measure("sweep-angle", r["median_triangulation_angle_deg"], facts=turned)
     lost = set(r["unregistered"])  # pictures that the largest model has too are missed by nobody
@@ -86,7 +109,7 @@ def _pairs(r: dict[str, Any]) -> Iterator[Measure]:
     yield Measure("sweep-overlay", 100 * pairs["watermark_share"])
 
 
-def _lenses(model: SweepModel, board: Intrinsics | None) -> Iterator[Measure]:
+def _lenses(model: SweepModel, board: Intrinsics | None, pixel_aspect: float) -> Iterator[Measure]:
     r = model.report
     found = {k: c["K"][0][0] for k, c in r["cameras"].items()}
     for start in r["start"]:
@@ -106,6 +129,10 @@ def _lenses(model: SweepModel, board: Intrinsics | None) -> Iterator[Measure]:
     wide = max((field_of_view_deg(c) for c in lenses if c.model == "OPENCV"), default=0.0)
     if wide > WIDE_DEG:
         yield Measure("sweep-focal", f"{wide:.0f} degrees wide", MODEL, "wide")
+    most = max(lenses, key=lambda camera: oblong(camera, pixel_aspect))
+    facts = {"fx": most.K[0, 0], "fy": most.K[1, 1], "aspect": pixel_aspect}
+    percent = 100 * oblong(most, pixel_aspect)
+    yield Measure("sweep-focal", percent, "itself, across and down", "oblong", facts, warn=OBLONG)
     folds = min(fold(c) for c in lenses)
     if folds < 1:
         yield Measure("sweep-focal", f"one-to-one to {100 * folds:.0f} % of the corners", MODEL, "folds")
@@ -116,7 +143,9 @@ def _lenses(model: SweepModel, board: Intrinsics | None) -> Iterator[Measure]:
 
 
 def _unfinished(r: dict[str, Any], side_px: int) -> Iterator[Measure]:
-    left_out = r["pairs"]["wanted"] - r["pairs"]["matched"]
+    left_out = max(
+        0, r["pairs"]["wanted"] - r["pairs"]["matched"]
+    )  # more may be matched than were wanted at first
     late = [a["name"] for a in r["attempts"] if a["out_of_time"]]
     said = [f"{left_out} of {r['pairs']['wanted']} pairs left out"] if left_out else []
     said += [f"mapping stopped: {', '.join(late)}"] if late else []

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from devrf.calibration.boards.guess import BoardGuess, Grey, board_pictures, guess_board
+from devrf.calibration.boards.instead import PICTURES, seen_instead
 from devrf.calibration.preview.stability import steadiness
 from devrf.capture.ingest.survey import Look
 from devrf.capture.measure import Measure
@@ -18,6 +19,7 @@ from devrf.pipelines.init.board_roles import BOARD_SHARE, give_boards, is_board_
 from devrf.pipelines.init.material import Roles, Seen
 from devrf.pipelines.init.names import camera_name
 
+NO_BOARD = "no board is seen: film it larger and sharp, or rename the clip"
 FEWEST_PHOTOS = 8  # of a sweep that nobody calls one
 PLACES_A_SECOND = 2.0  # of a clip of a walk; a photo is one
 MOST_TRIALS = 24  # pictures in which a board of unknown kind is looked for; each takes a second
@@ -52,7 +54,8 @@ def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
         if fault is None and is_board_clip(s, seen, roles):
             boards.append(s)
         elif fault is None and s.called_board:
-            fault = "called a board clip, but no board is seen: film it larger and sharp, or rename the clip"
+            shown = seen_instead(_some(s.look.greys, PICTURES))
+            fault = f"called a board clip, but {f'it shows {shown}' if shown else NO_BOARD}"
         elif fault is None and s.moves:
             moving.append(s)
         elif fault is None and not s.look.is_clip:

@@ -15,6 +15,7 @@ from devrf.capture.session import CaptureSession
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.video.audio import Sound
 from devrf.pipelines.budget.at_once import ingested_at_once
+from devrf.pipelines.health.judge import carried
 from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.health.light_rows import light_measures
 from devrf.pipelines.inputs.capture_session import capture_session
@@ -142,7 +143,11 @@ def _filmed(cameras: dict[str, CameraFrames]) -> Iterator[Measure]:
     gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
     worst = max(gaps, key=lambda name: gaps[name])
     lost = next((text for text in cameras[worst].notes if "frames missing" in text), "frames are missing")
-    yield Measure("frames-dropped", gaps[worst], worst, facts={"source": cameras[worst].source, "lost": lost})
+    facts, refuses = (
+        {"source": cameras[worst].source, "lost": lost},
+        not carried("frames-dropped", gaps.values()),
+    )
+    yield Measure("frames-dropped", gaps[worst], worst, facts=facts, refuses=refuses)
 
 
 def _exposure(cameras: dict[str, CameraFrames]) -> Measure:

@@ -49,7 +49,7 @@ def run(context: StageContext) -> None:
     swept = Swept(ingest, frames.cameras[SWEEP], stored, masks)
     model, without_mask = recover_sweep(swept, context.out, options, context.progress)
     lens = None if stored is None else stored.turned(frames.cameras[SWEEP].upright)
-    context.measures += sweep_measures(model, lens, side_px)
+    context.measures += sweep_measures(model, lens, side_px, frames.cameras[SWEEP].pixel_aspect)
     context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
     if board is not None:
         _add_board(context.out / "static_poses.json", board)

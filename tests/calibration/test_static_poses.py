@@ -18,6 +18,7 @@ from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.static_poses import SweepOptions, read_static_poses, recover_static_poses
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.system.errors import CalibrationError, HealthError
+from devrf.pipelines.health.judge import entries
 
 FOCAL = 300.0  # what the corner is drawn with
 VIEWS = 9
@@ -156,6 +157,48 @@ for name, fy, p1, p2 in (("plain", 800, 0.0, 0.0), ("tangential", 800, 0.004, -0
     found[name] = [adjusted["plain_lens"], *map(float, camera.params)]
 print(json.dumps(found))
 """
+
+
+HALVES = """
+import json
+import devrf.calibration.sweep.sfm_worker as worker
+import numpy as np, pycolmap
+pycolmap.set_random_seed(1)
+options = pycolmap.SyntheticDatasetOptions()
+options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 24, 400
+options.camera_width, options.camera_height = 640, 480
+options.camera_model_id = pycolmap.CameraModelId.OPENCV
+options.camera_params = [800, 800, 320, 240, 0, 0, 0, 0]
+model = pycolmap.synthesize_dataset(options)
+noise = pycolmap.SyntheticNoiseOptions()
+noise.point2D_stddev = 0.4
+pycolmap.synthesize_noise(noise, model)
+none = worker._zoomed(model, True)
+images = sorted((i for i in model.images.values()), key=lambda i: i.name)
+for image in images[10:]:
+    for point in image.points2D:
+        point.xy = (point.xy - [320, 240]) * 1.15 + [320, 240]
+model, adjusted = worker._polish(model, 20, set())
+found = worker._zoomed(model, False)
+for n, point in enumerate(images[3].points2D):
+    if point.has_point3D() and images[3].num_points3D > 20:
+        model.delete_observation(images[3].image_id, n)
+poor, weak = images[3].name, worker._without_weak(model)
+left = sorted(i.name for i in model.images.values() if i.has_pose)
+print(json.dumps([worker.LEAST_POINTS, none, found, images[10].name, weak, poor, len(left)]))
+"""
+
+
+@pytest.mark.full
+def test_a_zoom_in_mid_film_is_found_and_a_picture_of_few_points_left_out():
+    done = subprocess.run([sys.executable, "-c", HALVES], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    least, none, found, first, weak, poor, left = json.loads(done.stdout.splitlines()[-1])
+    assert none is None and least == (entries()["sweep-points"].low or (None, None))[1]
+    assert found["from"] == first and found["focal_px"][1] / found["focal_px"][0] == pytest.approx(
+        1.15, abs=0.02
+    )
+    assert weak == [poor] and left == 23
 
 
 def test_a_lens_has_tangential_distortion_and_oblong_pixels_only_where_residuals_need_them():

@@ -16,6 +16,7 @@ from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.checks import open_loop, picture_fits, two_zooms
 from devrf.calibration.sweep.static_poses import SweepModel, SweepOptions
 from devrf.calibration.sweep.two_views import TwoViews, against_model, torn_apart
+from devrf.calibration.sweep.zoom_step import TwoLenses, zoom_step
 from devrf.capture.camera import Camera
 from devrf.capture.exif import Exif, Place
 from devrf.capture.system.errors import HealthError
@@ -173,6 +174,7 @@ def test_pairs_left_out_are_counted(corner):
     pairs = {"all": 4950, "wanted": 4950, "matched": 1200, "seconds": 390.0}
     row = fired(changed(corner.model, pairs=pairs))["sweep-unfinished"]
     assert "3750" in str(row.value) and "4950" in str(row.value)
+    assert fired(changed(corner.model, pairs=pairs | {"wanted": 920})) == {}  # more than were wanted at first
 
 
 # --- GPS ---
@@ -221,6 +223,60 @@ def test_two_zooms_in_one_camera_are_named(corner):
     assert zooms.long == tuple(model.names[n] for n in (0, 2, 4, 6))
     row = fired(faulty)["sweep-focal one for all pictures"]
     assert "static/000000.png" in row.remedy and "EXIF" in row.remedy
+
+
+def test_a_principal_point_that_moves_is_named(corner):
+    """Stabilisation hands on a crop that moves by up to 3 % of the width; the pictures stay where they are."""
+    model = corner.model
+    shifts = {n: 10 * np.array([np.sin(2.0 * n), np.cos(3.0 * n)]) for n in range(len(model.cameras))}
+    moved = {
+        n: replace(c, K=c.K + np.pad(shifts[n][:, None], ((0, 1), (2, 0))))
+        for n, c in enumerate(model.cameras)
+    }
+    faulty = replace(model, obs_xy=seen_by(model, moved))
+    fits = picture_fits(faulty)
+    truth = np.array(list(shifts.values()))
+    off = (fits.centre_px - np.median(fits.centre_px, axis=0)) - (truth - np.median(truth, axis=0))
+    assert np.median(np.abs(off)) < 3  # one linear step
+    row = fired(faulty)["sweep-centre from picture to picture"]
+    assert isinstance(row.value, float) and 0.5 < row.value < 5 and "tabilisation" in row.remedy
+
+
+def test_focal_lengths_across_and_down_that_differ_are_named(corner):
+    model = corner.model
+    stretched = [replace(c, K=np.diag([1.0, 1.04, 1.0]) @ c.K) for c in model.cameras]
+    rows = fired(replace(model, cameras=tuple(stretched), obs_xy=seen_by(model, dict(enumerate(stretched)))))
+    row = rows["sweep-focal itself, across and down"]
+    assert row.value == pytest.approx(4, abs=0.1) and row.verdict == "warn" and "tabilisation" in row.remedy
+    counts = dict(zip(model.names, range(20, 100), strict=False))
+    points = fired(changed(replace(model, cameras=tuple(stretched)), points_per_image=counts))["sweep-points"]
+    assert points.verdict == "fail" and "lens" in points.remedy and "texture" not in points.remedy
+    said = sweep_measures(replace(model, cameras=tuple(stretched)), pixel_aspect=1.04)  # as the file says
+    assert "sweep-focal itself, across and down" not in judged.fired(said)
+
+
+def test_a_zoom_in_mid_sweep_and_weak_pictures_are_named(corner):
+    zoom = {"from": "static/000004.png", "focal_px": [300.0, 345.0], "error_px": 0.4}
+    adjustment = corner.model.report["adjustment"] | {"zoom": zoom}
+    rows = fired(changed(corner.model, adjustment=adjustment, weak=["static/000007.png"]))
+    row = rows["sweep-focal one for all pictures"]
+    assert "static/000004.png" in row.remedy and "345" in row.remedy and row.verdict == "warn"
+    assert "static/000007.png" in rows["sweep-points"].remedy and rows["sweep-points"].verdict == "warn"
+
+
+@pytest.mark.parametrize(("cut", "found"), [(36, 36), (9, 9), (63, 63), (None, None)])
+def test_where_a_film_zooms_is_found(cut, found):
+    tried = []
+
+    def fit(at: int) -> TwoLenses:
+        tried.append(at)
+        mixed = 36 if cut is None or not at else abs(at - cut)
+        return TwoLenses(0.5 - (0.004 if at else 0) + 0.003 * (mixed if cut else 0), 300.0, 345.0)
+
+    step = zoom_step(fit, 72)
+    assert (None if step is None else step[0]) == found
+    assert len(tried) < 20
+    assert zoom_step(fit, 11) is None
 
 
 @pytest.mark.full

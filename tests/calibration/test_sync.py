@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +11,14 @@ from tests.refused import refused
 
 from devrf.calibration.clocks.cues import Extras
 from devrf.calibration.clocks.equations import Clock, Equation, consistent
+from devrf.calibration.clocks.flash import Brightness
 from devrf.calibration.clocks.motion import motion_delay
 from devrf.calibration.clocks.sound import gcc_phat, sound_delay
 from devrf.calibration.clocks.sync import _with_guesses, synchronise
+from devrf.capture.ingest.signals import CourseMeter
 from devrf.capture.system.errors import CalibrationError
 from devrf.capture.video.audio import Sound, read_sound
+from devrf.capture.video.reader import VideoReader
 from devrf.capture.video.recorded import Recorded
 
 RATE_HZ = 48_000
@@ -222,6 +226,57 @@ def test_of_guesses_those_count_that_most_others_agree_with() -> None:
     assert _with_guesses(spans(4.0, names), sure, [wrong, right[0]])[-1] is wrong  # one each: the higher
     heard = Equation("cam0", "cam1", 2.0, 1.5, 0.001, "audio", 2.0, False, True)
     assert _with_guesses(spans(4.0, names), sure, [wrong, *right, heard])[-1] is heard
+
+
+def edge(kind: str, pictures: list[np.ndarray]) -> list[np.ndarray]:
+    """Grey pictures of a clip, of which some at an edge of the file are not as the scene is."""
+    first, last = pictures[0], pictures[-1]
+    if kind == "black":
+        return [0 * first, *pictures[1:]]
+    if kind == "green":
+        return [0 * first + 80, 0 * first + 80, *pictures[2:]]
+    if kind == "black at the end":
+        return [*pictures[:-2], 0 * last, 0 * last]
+    if kind == "one too bright":
+        return [*pictures[:3], np.clip(pictures[3].astype(int) + 90, 0, 255).astype(np.uint8), *pictures[4:]]
+    gains = 1 - 0.6 * np.exp(-np.arange(10) / 3)  # exposure that settles in a third of a second
+    settling = [(gain * p).astype(np.uint8) for gain, p in zip(gains, pictures, strict=False)]
+    return [*settling, *pictures[10:]]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", ["black", "green", "black at the end", "one too bright", "settles"])
+def test_what_happens_at_the_edges_of_files_is_not_the_scene(data_dir: Path, kind: str) -> None:
+    """The true clocks, or none: silent clips."""
+    true_s = {"cam0": 0.0, "cam1": 0.2317, "cam2": -0.1483, "cam3": 0.0871}
+    motion, brightness = {}, {}
+    for name in true_s:
+        with VideoReader(data_dir / "kuka_room" / f"{name}.mp4") as reader:
+            frames = [(frame.time_s, frame.stored_grey(160)) for frame in reader]
+        meter = CourseMeter()
+        for (time_s, _), grey in zip(frames, edge(kind, [grey for _, grey in frames]), strict=True):
+            meter.add(time_s, grey)
+        courses = meter.courses()
+        motion[name] = courses.motion
+        brightness[name] = Brightness(courses.brightness[:, 0], courses.brightness[:, 1:])
+    result = synchronise(spans(2.0, tuple(true_s)), {}, motion, extras=Extras(brightness))
+    for name, offset_s in true_s.items():
+        clock = result.cameras[name]
+        assert clock.confidence < 0.5 or abs(clock.offset_s - offset_s) <= 3 * max(clock.std_s, 1 / 60)
+
+
+def test_exposure_that_settles_as_files_begin_tells_no_time() -> None:
+    """Within a third of a second, and hardly anything moves; six pairs agree on it."""
+    rng, names = np.random.default_rng(5), NAMES[:4]
+    time_s = np.arange(59) / 30
+    settling = np.exp(-time_s / 0.12) * (time_s < 0.35)
+    motion = {
+        name: np.stack([time_s, 1 + 0.15 * rng.random(59) + rng.uniform(1.2, 1.8) * settling], axis=1)
+        for name in names
+    }
+    result = synchronise(spans(2.0, names), {}, motion)
+    assert all(result.cameras[name].confidence < 0.5 for name in names[1:])
+    assert any(n.startswith("cam0 and cam1: motion not trusted") and "0.5 s" in n for n in result.notes)
 
 
 def test_a_short_clip_is_not_taken_for_its_ends():

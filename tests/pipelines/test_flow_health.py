@@ -53,6 +53,15 @@ def test_each_fault_has_its_row(fault: dict, verdict: str, code: str, remedy: st
     assert bad.remedy and remedy in bad.remedy
 
 
+@pytest.mark.parametrize("fault", [{"valid": 0.2}, {"warp_ratio": 1.2}])
+def test_a_run_that_other_cameras_carry_is_not_refused(fault: dict) -> None:
+    """What its flow contradicts does not count in training."""
+    for poor, good, verdict in ((1, 2, "warn"), (1, 1, "fail"), (2, 2, "warn"), (2, 1, "fail")):
+        checks = {f"poor{n}": replace(HEALTHY, **fault) for n in range(poor)}
+        rows = judge(flow_measures(checks | {f"good{n}": HEALTHY for n in range(good)}))
+        assert [row.verdict for row in rows if row.verdict != "ok"] == [verdict]
+
+
 def test_what_cannot_be_told_is_not_asked() -> None:
     quiet = replace(HEALTHY, moving_valid=None, warp_ratio=None, shake_px=None)
     rows = judge(flow_measures({"cam0": quiet}))

@@ -92,6 +92,22 @@ def test_a_board_photographed_from_two_sides_tells_its_layout(spec: BoardSpec) -
     assert board_pictures(pictures, found) == len(pictures)
 
 
+@pytest.mark.full
+def test_a_mirrored_board_is_named_and_not_proposed(tmp_path: Path) -> None:
+    """Its squares look like a chessboard, which `run` would search for in vain."""
+    board = drawn(BoardSpec("charuco", (7, 5), 1.0, 0.75, "DICT_4X4_50", False, False))
+    pictures = []
+    for n in range(2):
+        page = np.full((360, 480), 128, np.uint8)
+        page[20 + 10 * n : 300 + 10 * n, 40:432] = cv2.resize(board, (392, 280), interpolation=cv2.INTER_AREA)
+        pictures.append(np.ascontiguousarray(page[:, ::-1]))
+    assert guess_board(pictures) is None
+    clip = seen("board_cam0.mp4")
+    look = replace(clip.look, pictures=tuple(np.stack([p] * 3, axis=-1) for p in pictures))
+    roles = guess_roles([SWEEP, seen("cam0.mp4"), replace(clip, look=look)], None)
+    assert "mirror" in roles.left["board_cam0.mp4"] and "DICT_4X4_50" in roles.left["board_cam0.mp4"]
+
+
 def test_a_room_is_no_board(textures: Callable[[int], np.ndarray]) -> None:
     assert guess_board([textures(n)[:, :, 0] for n in range(4)]) is None
 
