@@ -99,6 +99,7 @@ class Scene:
         ndc: Where the scene is modelled in normalised device coordinates: tangents of the reference camera's half
             angles (width / 2 / fx, height / 2 / fy). That camera is at the origin of the box frame and looks along
             +z; the near plane is at z = 1. None elsewhere.
+        sure_clocks: Cameras whose times sound and pictures agree on: tracking does not move them. Not on disk.
     """
 
     static: tuple[PosedFrame, ...]
@@ -116,6 +117,7 @@ class Scene:
     metric: bool = False
     points: SparsePoints | None = None
     ndc: tuple[float, float] | None = None
+    sure_clocks: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not self.static and not self.dynamic:

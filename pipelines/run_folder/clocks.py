@@ -13,6 +13,8 @@ if TYPE_CHECKING:  # they bring OpenCV, which reading clocks does not need
     from devrf.calibration.clocks.cues import Curve
     from devrf.calibration.clocks.geometry import PairCheck
 
+SURE_S = 5e-3  # standard deviation, by each of two cues, of a clock that nothing else moves
+
 
 def clock_dict(clock: Clock) -> dict[str, Any]:
     """A clock as it is written to `sync.json` and `clock_check.json`."""
@@ -42,6 +44,19 @@ def clocks_in_use(run_dir: Path) -> dict[str, Clock]:
     """The clocks that gave the scene its times: those of stage `sync`, unless geometry replaced some of them."""
     checked = read_object(run_dir / "scene" / "clock_check.json")
     return _clocks(checked["cameras"]) if checked else read_clocks(run_dir)
+
+
+def sure_clocks(run_dir: Path) -> frozenset[str]:
+    """Training cameras whose times sound and the geometry of what moves agree on; with the one whose clock it is."""
+    checked = read_object(run_dir / "scene" / "clock_check.json")
+    clocks = _clocks(checked.get("cameras", {}))
+
+    def agreed(name: str, correction: Mapping[str, Any]) -> bool:
+        heard = clocks[name].method == "audio" and clocks[name].std_s <= SURE_S
+        return heard and correction["sharp"] and not correction["shifted"] and correction["std_s"] <= SURE_S
+
+    sure = {name for name, seen in checked.get("corrections", {}).items() if agreed(name, seen)}
+    return frozenset(sure | {name for name, clock in clocks.items() if sure and clock.method == "reference"})
 
 
 def read_contradictions(run_dir: Path) -> dict[str | None, float | None]:

@@ -21,7 +21,7 @@ from devrf.pipelines.health.training_rows import (
 )
 from devrf.pipelines.inputs.flow_clips import flow_estimator
 from devrf.pipelines.inputs.training_options import training_options
-from devrf.pipelines.run_folder.clocks import clock_dict, clocks_in_use
+from devrf.pipelines.run_folder.clocks import clock_dict, clocks_in_use, sure_clocks
 from devrf.pipelines.run_folder.training_checkpoint import training_checkpoint
 from devrf.pipelines.stage import StageContext
 from devrf.reconstruct import recipe
@@ -40,7 +40,7 @@ FIELD = "motion is a field: clocks are found on models of parts only"
 
 def run(context: StageContext) -> None:
     """Write models and `metrics.json`; a training that was killed goes on from its checkpoint."""
-    scene = read_scene(context.run_dir / "scene")
+    scene = replace(read_scene(context.run_dir / "scene"), sure_clocks=sure_clocks(context.run_dir))
     memory = TrainingMemory.now(context)
     rest = load_rest(context.run_dir / "canonical" / FILE, context.device)
     asked = training_options(context.config, scene).motion

@@ -14,7 +14,7 @@ from devrf.pipelines.health.judge import judge
 from devrf.pipelines.health.training_rows import moved_clock_measures
 from devrf.pipelines.report.run_reader import RunFolder
 from devrf.pipelines.report.views_section import views
-from devrf.pipelines.run_folder.clocks import clock_dict
+from devrf.pipelines.run_folder.clocks import clock_dict, sure_clocks
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import deformation, stage_names
 from devrf.pipelines.stages.deformation import unknown_test_clocks
@@ -31,6 +31,38 @@ def test_only_clocks_that_are_not_known_are_learned(
 ) -> None:
     clocks = {name: Clock(0.0, 0.0, std_s) for name in ("cam0", "cam1", "witness", "films nothing")}
     assert unknown_test_clocks(odd_scene, clocks) == unknown
+
+
+SEEN = {"offset_s": 4e-4, "std_s": 2e-3, "sharp": True, "shifted": False}
+
+
+@pytest.mark.parametrize(
+    ("clock", "seen", "sure"),
+    [
+        (Clock(0.1, 0.0, 1e-4, "audio"), {}, True),
+        (Clock(0.1, 0.0, 1e-4, "motion"), {}, False),  # both are by what moves
+        (Clock(0.1, 0.0, 1e-2, "audio"), {}, False),
+        (Clock(0.1, 0.0, 1e-4, "audio"), {"std_s": 8e-3}, False),
+        (Clock(0.1, 0.0, 1e-4, "audio"), {"sharp": False}, False),
+        (Clock(0.1, 0.0, 1e-4, "audio"), {"shifted": True}, False),  # sound lags behind its pictures
+    ],
+)
+def test_clocks_are_sure_where_sound_and_geometry_agree(
+    tmp_path: Path, clock: Clock, seen: dict[str, Any], sure: bool
+) -> None:
+    assert sure_clocks(tmp_path) == frozenset()  # nothing was checked
+    clocks = {
+        "cam0": Clock(0.0, 0.0, 0.0, "reference"),
+        "cam1": clock,
+        "cam2": Clock(0.0, 0.0, math.inf, "none"),
+    }
+    checked = {
+        "cameras": {name: clock_dict(c) for name, c in clocks.items()},
+        "corrections": {"cam1": SEEN | seen},
+    }
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "scene" / "clock_check.json").write_text(json.dumps(checked))
+    assert sure_clocks(tmp_path) == (frozenset({"cam0", "cam1"}) if sure else frozenset())
 
 
 @pytest.mark.parametrize("tracked", [True, False])

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -20,6 +21,7 @@ from devrf.capture.system.errors import OutOfTime
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.training_log import TrainingLog
+from devrf.reconstruct.tracking import follow as follow_module
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
 from devrf.reconstruct.tracking.follow import Tracks, _Following, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import FARTHER, Follower
@@ -574,6 +576,36 @@ def test_everything_is_followed_again_until_offsets_settle(
     found, _ = follow_both_ways(surface, Graph(surface), films, 0.5)
     assert by == pytest.approx(with_which)
     assert found.offsets[0] == pytest.approx(with_which[-1] * GAP)  # those that it was followed with
+
+
+@pytest.mark.parametrize(
+    ("sure", "with_which"),
+    [((0, 1, 2), [[0, 0, 0]]), ((0,), [[0, 0, 0], [0, -0.5, -0.5]]), ((1, 2), [[0, 0, 0], [0.5, 0, 0]])],
+)
+def test_clocks_that_are_known_stay(
+    films: list[Film],
+    monkeypatch: pytest.MonkeyPatch,
+    followed,
+    sure: tuple[int, ...],
+    with_which: list[list[float]],
+) -> None:
+    """Tracks say that the first camera is late: as much as that the others are early."""
+    surface, _ = on_cards()
+    films = [replace(film, sure=n in sure) for n, film in enumerate(films)]
+    followed(lambda late: 0.1)
+    monkeypatch.setattr(
+        "devrf.reconstruct.tracking.follow.offsets_to_follow", lambda seen, gap: np.array([0.5 * GAP, 0, 0])
+    )
+    asked, both_ways = [], follow_module._both_ways
+
+    def spied(*arguments: Any) -> Any:
+        asked.append(arguments[5] / GAP)
+        return both_ways(*arguments)
+
+    monkeypatch.setattr(follow_module, "_both_ways", spied)
+    follow_both_ways(surface, Graph(surface), films, 0.5)
+    assert np.allclose(asked, with_which)
+    assert [film.backwards().sure for film in films] == [film.sure for film in films]
 
 
 def test_what_was_left_out_is_kept_and_compared() -> None:

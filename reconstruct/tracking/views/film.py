@@ -40,6 +40,7 @@ class Film:
         estimator: Finds optical flow.
         depth: Along the optical axis, of what stands [h, w]; infinite where nothing is.
         plate: What stands, as the camera shows it [h, w, 3]; the model's picture where it never does.
+        sure: Whether its clock is known: it is not moved.
     """
 
     camera: Camera
@@ -50,6 +51,7 @@ class Film:
     estimator: FlowEstimator
     depth: np.ndarray
     plate: np.ndarray
+    sure: bool = False
     _pictures: OrderedDict[int, np.ndarray] = field(default_factory=OrderedDict, repr=False)
     _sharp: OrderedDict[int, np.ndarray] = field(default_factory=OrderedDict, repr=False)
 
@@ -97,21 +99,22 @@ class Film:
         """The same, run from its end to its beginning."""
         return Film(
             self.camera, self.frames[::-1], -self.times[::-1], self.scale, self.background,
-            self.estimator, self.depth, self.plate,
+            self.estimator, self.depth, self.plate, self.sure,
         )  # fmt: skip
 
 
 def films(scene: Scene, estimator: FlowEstimator) -> list[Film]:
     """Of each fixed training camera; what stands is not known yet: no depth, and black plates."""
     out = []
-    for frames in standing_clips(scene).values():
+    for name, frames in standing_clips(scene).items():
         whole = frames[0].camera
         scale = min(1.0, SIDE / max(whole.width, whole.height))
         camera = whole.scaled(scale)
         size = (camera.height, camera.width)
         times = np.array([f.time for f in frames], dtype=float)
         depth, plate = np.full(size, np.inf), np.zeros((*size, 3), np.float32)
-        out.append(Film(camera, frames, times, scale, scene.background, estimator, depth, plate))
+        sure = name in scene.sure_clocks
+        out.append(Film(camera, frames, times, scale, scene.background, estimator, depth, plate, sure))
     return out
 
 
