@@ -27,6 +27,7 @@ CROP_MOVES = 0.5  # percent of the width; of lenses that stay it is below 0.1
 FOLLOWS = ("sweep-registered", "sweep-points", "sweep-in-parts", "sweep-contradicts")
 CROP_GONE = 50.0  # as far as that is measured
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
+ZOOMED = 0.1  # relative: poses by one focal length are wrong
 MODEL = "what its lens model holds"
 WIDE_DEG = 110.0  # across; wider lenses need a fisheye's model
 LINKED = 0.2  # of pictures of the same place that share points: fewer leave a loop open
@@ -62,7 +63,8 @@ def sweep_measures(
     if zoom is not None and abs(after - before) > ZOOMS_APART * before and moved <= CROP_MOVES:
         facts = {"at": zoom["from"], "before": before, "after": after}
         text = f"{before:.0f}, later {after:.0f} px"
-        yield Measure("sweep-focal", text, "one for all pictures", "zoomed", facts)
+        verdict = "fail" if abs(after - before) > ZOOMED * before else "warn"
+        yield Measure("sweep-focal", text, "one for all pictures", "zoomed", facts, found=verdict)
     elif zooms is not None:
         facts = {"short": some(zooms.short), "long": some(zooms.long)}
         text = f"two groups, {100 * (zooms.ratio - 1):.0f} % apart"
