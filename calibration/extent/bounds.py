@@ -89,7 +89,13 @@ def scene_bounds(
     region = _searched(points, focus, fixed or cameras, box_from_up)
     hull = MaskHull.of(masks, region, box_from_up, stretches)
     if hull is not None:
-        lo, hi = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
+        (lo, hi), enough = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
+        # What stands before a thing hides it from some cameras: then others alone see it, and where their lines of
+        # sight cross far away counts as well as where it is, unless cameras that cannot see it are not asked.
+        hull = None if enough else MaskHull.of(masks, region, box_from_up, stretches, points)
+        if hull is not None:
+            other, _ = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
+            lo, hi = min((np.stack([lo, hi]), other), key=lambda box: float(np.prod(np.ptp(box, axis=0))))
         basis = f"visual hulls of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:
@@ -160,8 +166,9 @@ def _no_larger(
     cameras: Sequence[Camera],
     box_from_up: Float[np.ndarray, "3 3"],
     across: float,
-) -> Float[np.ndarray, "2 3"]:
-    """A hull's box, drawn in towards its smallest until the mean side is so many widths long, margin included."""
+) -> tuple[Float[np.ndarray, "2 3"], bool]:
+    """A hull's box, drawn in towards its smallest until the mean side is so many widths long, margin included; and
+    whether it is."""
 
     def small_enough(box: Float[np.ndarray, "2 3"]) -> bool:
         middle = box.mean(0) @ box_from_up
@@ -169,10 +176,11 @@ def _no_larger(
         return bool(HULL_MARGIN * np.prod(np.ptp(box, axis=0)) ** (1 / 3) <= across * width)
 
     if small_enough(hull.box):
-        return hull.box
+        return hull.box, True
     smallest = hull.smallest_box()
     steps = (hull.box + share * (smallest - hull.box) for share in np.linspace(0, 1, STEPS))
-    return next((box for box in steps if small_enough(box)), smallest)
+    found = next((box for box in steps if small_enough(box)), None)
+    return (smallest, False) if found is None else (found, True)
 
 
 def upright(up_from: Sequence[Camera], front_from: Sequence[Camera]) -> Float[np.ndarray, "3 3"]:

@@ -35,6 +35,9 @@ SPARE, ALONE = 0.0025, 0.01
 # Of the nearest camera's distance, beyond the last cell that is needed: pixels look at a thing's back and sides through
 # what bulges towards the cameras.
 BULGE = 0.05
+# A camera says nothing of a cell that something stands before: a point of the sweep so many pixels beside its middle,
+# nearer by this share and a cell.
+BESIDE_PX, BEHIND = 2, 0.05
 REACHES_PX = np.array([1, 2, 4, 8, 12])  # half the side of a cell in a picture, rounded up: few, for speed
 
 
@@ -52,6 +55,7 @@ class MaskHull:
         region: Float[np.ndarray, "2 3"],
         box_from_up: Float[np.ndarray, "3 3"],
         stretches: Sequence[Sequence[MotionMask | None]] = (),
+        points: Float[np.ndarray, "p 3"] | None = None,
     ) -> "MaskHull | None":
         """The hull of masks, a camera each; None where they contradict each other.
 
@@ -60,12 +64,14 @@ class MaskHull:
             region: Corners of what is searched, in upright axes.
             box_from_up: Rotation to upright axes.
             stretches: Masks of shorter times: of the same cameras, None where one does not film then.
+            points: The sweep's: what lies behind them may move without a camera's showing it. None: all is seen.
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
-        found = None
+        some = np.zeros((0, 3)) if points is None else points
+        fronts, found = [_front(masks[n].camera, some) for n in fine], None
         for count in SEARCHES if len(fine) > 1 else ():
             cells, cell = _grid(region, count)
-            found = cls(masks, stretches, fine, box_from_up, cells, cell)
+            found = cls(masks, stretches, fine, box_from_up, cells, cell, fronts)
             if not found._search(coarse=count == COARSE):
                 return None
             region = found.box + cell * np.array([[-1.0], [1.0]])
@@ -79,12 +85,16 @@ class MaskHull:
         box_from_up: Float[np.ndarray, "3 3"],
         cells: Float[np.ndarray, "n 3"],
         cell: float,
+        fronts: Sequence[Float[np.ndarray, "h w"]],
     ) -> None:
         """Of cells with this side, by some of the masks."""
         self._masks, self._stretches, self._fine = masks, stretches, fine
         self._pixels = [float(mask.mask.sum()) for mask in masks]
         self._box_from_up, self._cells, self._cell = box_from_up, cells, cell
-        self._views = [_view(masks[n].camera, cells @ box_from_up, cell) for n in fine]
+        world = cells @ box_from_up
+        self._views = [
+            _view(masks[n].camera, world, cell, front) for n, front in zip(fine, fronts, strict=True)
+        ]
 
     @property
     def box(self) -> Float[np.ndarray, "2 3"]:
@@ -144,7 +154,10 @@ def unexplained(
     box_from_up = box_from_world[:3, :3] / scale
     cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale, FINE)
     world = cells @ box_from_up
-    seen = [_Seen(_view(m.camera, world, cell), m, float(m.mask.sum())) for m in masks]
+    nothing = np.zeros((0, 3))
+    seen = [
+        _Seen(_view(m.camera, world, cell, _front(m.camera, nothing)), m, float(m.mask.sum())) for m in masks
+    ]
     hull = _Hull.of(seen, cells, cell)
     everything = np.ones(len(hull.cells), dtype=bool)
     out = []
@@ -190,19 +203,21 @@ class _View(NamedTuple):
     Attributes:
         cells: Their numbers.
         pixel, reach: Where each is, and half the side of its square.
+        hidden: Whether something stands before it.
         beyond, edge: Cells a little beyond the picture, and the pixel of its border next to each.
     """
 
     cells: Int[np.ndarray, " k"]
     pixel: Int[np.ndarray, " k"]
     reach: Int[np.ndarray, " k"]
+    hidden: Bool[np.ndarray, " k"]
     beyond: Int[np.ndarray, " m"]
     edge: Int[np.ndarray, " m"]
 
     def only(self, kept: Bool[np.ndarray, " n"]) -> "_View":
         """Some of the cells, which are numbered anew."""
         number, mine, out = np.cumsum(kept) - 1, kept[self.cells], kept[self.beyond]
-        seen = number[self.cells[mine]], self.pixel[mine], self.reach[mine]
+        seen = number[self.cells[mine]], self.pixel[mine], self.reach[mine], self.hidden[mine]
         return _View(*seen, number[self.beyond[out]], self.edge[out])
 
 
@@ -281,7 +296,7 @@ class _Hull:
             away = np.asarray(ndimage.distance_transform_cdt(~mask, "chessboard")).ravel()
             shows = away[view.pixel] <= (view.reach if coarse else 0)
             agree[view.cells] += shows
-            deny[view.cells] += ~shows
+            deny[view.cells] += ~shows & ~view.hidden
             cut[view.beyond] += mask.ravel()[view.edge]
         kept = (agree >= 2 + deny) & (deny <= most_deny)
         return cls(cells, cell, np.arange(len(cells)), agree + cut, deny == 0, seen).only(kept)
@@ -357,7 +372,19 @@ def _inward(end: float, needed: float) -> float:
     return min(end, needed) if np.isfinite(needed) else end
 
 
-def _view(camera: Camera, world: Float[np.ndarray, "n 3"], cell: float) -> _View:
+def _front(camera: Camera, points: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "h w"]:
+    """Depth of the nearest point beside each pixel, infinite where there is none."""
+    at, depth = camera.project(points), (points - camera.centre) @ camera.cam_from_world[2, :3]
+    inside = (depth > 0) & (at >= 0).all(1) & (at < [camera.width, camera.height]).all(1)
+    front = np.full((camera.height, camera.width), np.inf)
+    x, y = at[inside].astype(int).T
+    np.minimum.at(front, (y, x), depth[inside])
+    return ndimage.minimum_filter(front, size=2 * BESIDE_PX + 1, mode="constant", cval=np.inf)
+
+
+def _view(
+    camera: Camera, world: Float[np.ndarray, "n 3"], cell: float, front: Float[np.ndarray, "h w"]
+) -> _View:
     """Where a camera sees cells of which these are the middles."""
     at, size = camera.project(world), np.array([camera.width, camera.height])
     inside = (at >= 0).all(1) & (at < size).all(1)
@@ -368,4 +395,5 @@ def _view(camera: Camera, world: Float[np.ndarray, "n 3"], cell: float) -> _View
     depth = (world[cells] - camera.centre) @ camera.cam_from_world[2, :3]
     half_px = 0.5 * cell * camera.K[0, 0] / depth
     reach = REACHES_PX[np.searchsorted(REACHES_PX[:-1], half_px)]
-    return _View(cells, pixel, reach, beyond, edge)
+    hidden = depth > (1 + BEHIND) * np.take(front, pixel) + cell
+    return _View(cells, pixel, reach, hidden, beyond, edge)
