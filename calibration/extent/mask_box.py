@@ -390,7 +390,7 @@ def _view(
     inside = (at >= 0).all(1) & (at < size).all(1)
     around = ~inside & (np.abs(at - size / 2) < size / 2 + BEYOND * camera.width).all(1)
     cells, beyond = np.flatnonzero(inside), np.flatnonzero(around)
-    pixel = at[cells].astype(int) @ [1, camera.width]
+    pixel = at[cells].astype(int) @ np.array([1, camera.width])
     edge = at[beyond].clip(0, size - 1).astype(int) @ [1, camera.width]
     depth = (world[cells] - camera.centre) @ camera.cam_from_world[2, :3]
     half_px = 0.5 * cell * camera.K[0, 0] / depth

@@ -239,8 +239,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pictures = [
         np.repeat(rng.integers(0, 255, (4, 6, 3)), 8, 0).repeat(8, 1).astype(np.uint8) for _ in range(6)
     ]
-    for name in ("static", "cam0", "cam1", "witness", "board"):
-        write_video(folder / f"{name}.mp4", pictures, 10.0)
+    for n, name in enumerate(("static", "cam0", "cam1", "witness", "board")):
+        write_video(folder / f"{name}.mp4", [np.roll(picture, n, axis=1) for picture in pictures], 10.0)
     (folder / "photos").mkdir()
     for n in range(24):
         write_png(folder / "photos" / f"{n}.png", pictures[n % 6])
