@@ -45,6 +45,7 @@ class Bounds:
         kind: `inward` or `forward`.
         size: Sides of the box, world units [3].
         basis: What the box was taken from, in words.
+        before: Points that cameras were not asked behind; None: they were asked everywhere.
     """
 
     box_from_world: Float[np.ndarray, "4 4"]
@@ -54,6 +55,7 @@ class Bounds:
     kind: Kind
     size: Float[np.ndarray, "3"]
     basis: str
+    before: Float[np.ndarray, "p 3"] | None = None
 
 
 def scene_bounds(
@@ -87,15 +89,15 @@ def scene_bounds(
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
     region = _searched(points, focus, fixed or cameras, box_from_up)
-    hull = MaskHull.of(masks, region, box_from_up, stretches)
+    hull, before = MaskHull.of(masks, region, box_from_up, stretches), None
     if hull is not None:
         (lo, hi), enough = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
         # What stands before a thing hides it from some cameras: then others alone see it, and where their lines of
         # sight cross far away counts as well as where it is, unless cameras that cannot see it are not asked.
         hull = None if enough else MaskHull.of(masks, region, box_from_up, stretches, points)
         if hull is not None:
-            other, _ = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
-            lo, hi = min((np.stack([lo, hi]), other), key=lambda box: float(np.prod(np.ptp(box, axis=0))))
+            (lo, hi), _ = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
+            before = points
         basis = f"visual hulls of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:
@@ -119,6 +121,7 @@ def scene_bounds(
         kind="forward" if mean_view > FORWARD_MEAN else "inward",
         size=2 * half,
         basis=basis,
+        before=before,
     )
 
 

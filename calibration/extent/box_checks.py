@@ -58,11 +58,14 @@ def cut_off(
 
 
 def not_explained(
-    masks: Sequence[MotionMask], box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+    masks: Sequence[MotionMask],
+    box_from_world: Float[np.ndarray, "4 4"],
+    aabb: Float[np.ndarray, "2 3"],
+    before: Float[np.ndarray, "p 3"] | None = None,
 ) -> list[CutOff | None]:
     """Of all that changes before each camera what looks at nothing in the box that others show changing, too."""
     every = [MotionMask(mask.camera, mask.mask) for mask in masks]
-    left = unexplained(every, box_from_world, aabb)
+    left = unexplained(every, box_from_world, aabb, before)
     return [
         _found(pixels, _largest_piece(pixels), mask.mask) if pixels.any() else None
         for mask, pixels in zip(masks, left, strict=True)

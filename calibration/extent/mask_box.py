@@ -147,16 +147,22 @@ class MaskHull:
 
 
 def unexplained(
-    masks: Sequence[MotionMask], box_from_world: Float[np.ndarray, "4 4"], aabb: Float[np.ndarray, "2 3"]
+    masks: Sequence[MotionMask],
+    box_from_world: Float[np.ndarray, "4 4"],
+    aabb: Float[np.ndarray, "2 3"],
+    before: Float[np.ndarray, "p 3"] | None = None,
 ) -> list[Bool[np.ndarray, "h w"]]:
-    """Pixels of each mask that look at nothing in the box in which the masks that see it agree."""
+    """Pixels of each mask that look at nothing in the box in which the masks that see it agree.
+
+    `before`: points that cameras are not asked behind.
+    """
     scale = float(np.cbrt(np.linalg.det(box_from_world[:3, :3])))
     box_from_up = box_from_world[:3, :3] / scale
     cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale, FINE)
     world = cells @ box_from_up
-    nothing = np.zeros((0, 3))
+    points = np.zeros((0, 3)) if before is None else before
     seen = [
-        _Seen(_view(m.camera, world, cell, _front(m.camera, nothing)), m, float(m.mask.sum())) for m in masks
+        _Seen(_view(m.camera, world, cell, _front(m.camera, points)), m, float(m.mask.sum())) for m in masks
     ]
     hull = _Hull.of(seen, cells, cell)
     everything = np.ones(len(hull.cells), dtype=bool)

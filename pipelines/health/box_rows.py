@@ -41,7 +41,8 @@ def box_measures(
         yield from _leaving(mattes, box)
     elif moves:
         if "hull" in bounds.basis:
-            found = dict(zip(moves, not_explained(list(moves.values()), *box), strict=True))
+            left = not_explained(list(moves.values()), *box, bounds.before)
+            found = dict(zip(moves, left, strict=True))
             yield _worst("box-unexplained", found, ", ")
         yield _worst("box-cuts", {name: cut_off(m, *box) for name, m in moves.items()}, " sees it ")
     cameras = {f.camera_name: f.camera for f in dynamic if f.split == "train"}

@@ -351,6 +351,28 @@ def with_points(mask: MotionMask, points: np.ndarray) -> MotionMask:
     return MotionMask(camera, mask.mask | binary_dilation(more, np.ones((5, 5))))
 
 
+@pytest.mark.full
+def test_what_things_hide_from_some_cameras_is_where_the_others_see_it() -> None:
+    """A thing that screens hide from two of four cameras: those say nothing of it."""
+    fixed, points = ring(4, 2.2), room(np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    thing = [0.5, 0.6, 0.1] + rng.uniform(-0.15, 0.15, (4000, 3))
+    masks = [ball_mask(c, np.zeros(3), 0.2) for c in fixed]
+    masks = [with_points(m, thing) if n < 2 else m for n, m in enumerate(masks)]
+    screens = []
+    for camera in fixed[2:]:
+        way = camera.centre - thing.mean(0)
+        across = np.cross(way / np.linalg.norm(way), rng.normal(size=(4000, 3)))
+        screens.append(thing.mean(0) + 0.3 * way + 0.4 * rng.uniform(0, 1, (4000, 1)) * across)
+    open_room = scene_bounds(fixed, fixed, points, np.full(100, 3.0), masks)
+    bounds = scene_bounds(fixed, fixed, np.concatenate([points, *screens]), np.full(100, 3.0), masks)
+    asked = bounds.box_from_world, bounds.aabb, bounds.before
+    assert bounds.before is not None and all(found is None for found in not_explained(masks, *asked))
+    assert (np.abs(in_box(bounds, thing)) <= bounds.aabb[1]).all(1).mean() > 0.98
+    named = not_explained(masks, open_room.box_from_world, open_room.aabb)
+    assert any(found is not None and found.share > 0.05 for found in named)
+
+
 def test_a_curtain_that_only_two_of_four_cameras_film_is_in_the_box_or_named() -> None:
     """It waves far behind the focus, farther from it than the nearest camera."""
     fixed, points = ring(4, 2.2), room(np.random.default_rng(0))
