@@ -96,8 +96,9 @@ def scene_bounds(
         # sight cross far away counts as well as where it is, unless cameras that cannot see it are not asked.
         hull = None if enough else MaskHull.of(masks, region, box_from_up, stretches, points)
         if hull is not None:
-            (lo, hi), _ = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
-            before = points
+            other, _ = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
+            if np.prod(np.ptp(other, axis=0)) < np.prod(hi - lo):
+                (lo, hi), before = other, points
         basis = f"visual hulls of {shown} in {len(masks)} cameras"
         margin = HULL_MARGIN
     else:

@@ -8,7 +8,7 @@ past different things cross; so the sides of the box may come in while nearly ev
 some of its hull.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -68,10 +68,10 @@ class MaskHull:
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
         some = np.zeros((0, 3)) if points is None else points
-        fronts, found = [_front(masks[n].camera, some) for n in fine], None
+        fronts, found = {n: _front(masks[n].camera, some) for n in fine}, None
         for count in SEARCHES if len(fine) > 1 else ():
             cells, cell = _grid(region, count)
-            found = cls(masks, stretches, fine, box_from_up, cells, cell, fronts)
+            found = cls(masks, stretches, fronts, box_from_up, cells, cell)
             if not found._search(coarse=count == COARSE):
                 return None
             region = found.box + cell * np.array([[-1.0], [1.0]])
@@ -81,20 +81,17 @@ class MaskHull:
         self,
         masks: Sequence[MotionMask],
         stretches: Sequence[Sequence[MotionMask | None]],
-        fine: Sequence[int],
+        fronts: Mapping[int, Float[np.ndarray, "h w"]],
         box_from_up: Float[np.ndarray, "3 3"],
         cells: Float[np.ndarray, "n 3"],
         cell: float,
-        fronts: Sequence[Float[np.ndarray, "h w"]],
     ) -> None:
-        """Of cells with this side, by some of the masks."""
-        self._masks, self._stretches, self._fine = masks, stretches, fine
+        """Of cells with this side, by those masks of which it is given how far away something stands."""
+        self._masks, self._stretches, self._fine = masks, stretches, list(fronts)
         self._pixels = [float(mask.mask.sum()) for mask in masks]
         self._box_from_up, self._cells, self._cell = box_from_up, cells, cell
         world = cells @ box_from_up
-        self._views = [
-            _view(masks[n].camera, world, cell, front) for n, front in zip(fine, fronts, strict=True)
-        ]
+        self._views = [_view(masks[n].camera, world, cell, front) for n, front in fronts.items()]
 
     @property
     def box(self) -> Float[np.ndarray, "2 3"]:

@@ -117,7 +117,7 @@ def test_structure_from_motion_takes_no_more_time_than_is_left(
 ) -> None:
     asked: list[SweepOptions] = []
 
-    def recover(*arguments: object, options: SweepOptions, **named: object) -> None:
+    def recover(swept: object, out: Path, options: SweepOptions, *others: object) -> None:
         asked.append(options)
         raise InterruptedError
 
@@ -125,6 +125,7 @@ def test_structure_from_motion_takes_no_more_time_than_is_left(
     for name, value in (
         ("FrameSet", MagicMock()),
         ("_board", Mock(return_value=None)),
+        ("Swept", Mock()),
         ("recover_sweep", recover),
     ):
         monkeypatch.setattr(static_poses, name, value)
