@@ -70,14 +70,19 @@ def tags_of(image: Image.Image) -> Image.Exif:
     return Image.Image.getexif(image)
 
 
-def png_chunk(image: Image.Image, kind: bytes) -> bytes | None:
-    """Content of the first such chunk of a PNG, before or behind its pixels; None of other files, or without one."""
+def png_chunk(image: Image.Image, kind: bytes, behind: bool = True) -> bytes | None:
+    """Content of the first such chunk of a PNG; None of other files, or without one.
+
+    `behind`: it is looked for behind the pixels, too.
+    """
     if image.format != "PNG":
         return None
     with open(getattr(image, "filename", ""), "rb") as file:
         file.seek(PNG_CHUNKS)
         while len(head := file.read(8)) == 8:
             length = int.from_bytes(head[:4], "big")
+            if head[4:] == b"IDAT" and not behind:
+                return None
             if head[4:] == kind:
                 return file.read(min(length, MOST_TAGS))
             file.seek(length + PNG_CRC, 1)

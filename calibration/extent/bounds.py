@@ -7,12 +7,12 @@ focus, the point closest to all view axes.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.extent.mask_box import MaskHull
+from devrf.calibration.extent.mask_box import NOTHING, MaskHull
 from devrf.calibration.extent.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Kind
@@ -45,7 +45,7 @@ class Bounds:
         kind: `inward` or `forward`.
         size: Sides of the box, world units [3].
         basis: What the box was taken from, in words.
-        before: Points that cameras were not asked behind; None: they were asked everywhere.
+        before: Points that cameras were not asked behind, if any.
     """
 
     box_from_world: Float[np.ndarray, "4 4"]
@@ -55,7 +55,7 @@ class Bounds:
     kind: Kind
     size: Float[np.ndarray, "3"]
     basis: str
-    before: Float[np.ndarray, "p 3"] | None = None
+    before: Float[np.ndarray, "p 3"] = field(default_factory=lambda: NOTHING)
 
 
 def scene_bounds(
@@ -89,7 +89,7 @@ def scene_bounds(
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
     region = _searched(points, focus, fixed or cameras, box_from_up)
-    hull, before = MaskHull.of(masks, region, box_from_up, stretches), None
+    hull, before = MaskHull.of(masks, region, box_from_up, stretches), NOTHING
     if hull is not None:
         (lo, hi), enough = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
         # What stands before a thing hides it from some cameras: then others alone see it, and where their lines of

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from devrf.calibration.extent.mask_box import unexplained
+from devrf.calibration.extent.mask_box import NOTHING, unexplained
 from devrf.calibration.extent.motion_masks import MotionMask
 from devrf.capture.camera import Camera
 from devrf.capture.scene import SparsePoints
@@ -61,9 +61,12 @@ def not_explained(
     masks: Sequence[MotionMask],
     box_from_world: Float[np.ndarray, "4 4"],
     aabb: Float[np.ndarray, "2 3"],
-    before: Float[np.ndarray, "p 3"] | None = None,
+    before: Float[np.ndarray, "p 3"] = NOTHING,
 ) -> list[CutOff | None]:
-    """Of all that changes before each camera what looks at nothing in the box that others show changing, too."""
+    """Of all that changes before each camera what looks at nothing in the box that others show changing, too.
+
+    `before`: as `unexplained`'s.
+    """
     every = [MotionMask(mask.camera, mask.mask) for mask in masks]
     left = unexplained(every, box_from_world, aabb, before)
     return [

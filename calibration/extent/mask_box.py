@@ -38,6 +38,7 @@ BULGE = 0.05
 # A camera says nothing of a cell that something stands before: a point of the sweep so many pixels beside its middle,
 # nearer by this share and a cell.
 BESIDE_PX, BEHIND = 2, 0.05
+NOTHING = np.zeros((0, 3))  # stands before anything: cameras are asked of all
 REACHES_PX = np.array([1, 2, 4, 8, 12])  # half the side of a cell in a picture, rounded up: few, for speed
 
 
@@ -55,7 +56,7 @@ class MaskHull:
         region: Float[np.ndarray, "2 3"],
         box_from_up: Float[np.ndarray, "3 3"],
         stretches: Sequence[Sequence[MotionMask | None]] = (),
-        points: Float[np.ndarray, "p 3"] | None = None,
+        before: Float[np.ndarray, "p 3"] = NOTHING,
     ) -> "MaskHull | None":
         """The hull of masks, a camera each; None where they contradict each other.
 
@@ -64,11 +65,10 @@ class MaskHull:
             region: Corners of what is searched, in upright axes.
             box_from_up: Rotation to upright axes.
             stretches: Masks of shorter times: of the same cameras, None where one does not film then.
-            points: The sweep's: what lies behind them may move without a camera's showing it. None: all is seen.
+            before: Points of the sweep that cameras are not asked behind: what moves there they may not show.
         """
         fine = [n for n, mask in enumerate(masks) if 0 < mask.mask.mean() < MAX_MOVING_SHARE]
-        some = np.zeros((0, 3)) if points is None else points
-        fronts, found = {n: _front(masks[n].camera, some) for n in fine}, None
+        fronts, found = {n: _front(masks[n].camera, before) for n in fine}, None
         for count in SEARCHES if len(fine) > 1 else ():
             cells, cell = _grid(region, count)
             found = cls(masks, stretches, fronts, box_from_up, cells, cell)
@@ -147,7 +147,7 @@ def unexplained(
     masks: Sequence[MotionMask],
     box_from_world: Float[np.ndarray, "4 4"],
     aabb: Float[np.ndarray, "2 3"],
-    before: Float[np.ndarray, "p 3"] | None = None,
+    before: Float[np.ndarray, "p 3"] = NOTHING,
 ) -> list[Bool[np.ndarray, "h w"]]:
     """Pixels of each mask that look at nothing in the box in which the masks that see it agree.
 
@@ -157,9 +157,8 @@ def unexplained(
     box_from_up = box_from_world[:3, :3] / scale
     cells, cell = _grid((aabb - box_from_world[:3, 3]) / scale, FINE)
     world = cells @ box_from_up
-    points = np.zeros((0, 3)) if before is None else before
     seen = [
-        _Seen(_view(m.camera, world, cell, _front(m.camera, points)), m, float(m.mask.sum())) for m in masks
+        _Seen(_view(m.camera, world, cell, _front(m.camera, before)), m, float(m.mask.sum())) for m in masks
     ]
     hull = _Hull.of(seen, cells, cell)
     everything = np.ones(len(hull.cells), dtype=bool)

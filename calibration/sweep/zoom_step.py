@@ -6,9 +6,7 @@ from typing import NamedTuple
 FEWEST = 6  # pictures of a part
 COARSE = 8  # parts of the film between which is cut first
 BETTER = 0.97  # of the error with one lens
-HINT = (
-    0.998  # of that error, when the film is cut in the middle: where nothing happened it stays within 0.02 %
-)
+HINT = 0.998  # of that error, when cut in the middle: where nothing happened it stays within 0.02 %
 
 
 class TwoLenses(NamedTuple):

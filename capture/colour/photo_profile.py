@@ -27,29 +27,24 @@ from devrf.capture.exif import png_chunk
 
 ICC_TAGS_AT = 128  # number of tags, after the header; then signature, offset and size of each
 FIXED = 65536.0  # s15Fixed16Number
-SRGB_IN_D50 = (
-    np.array(  # columns: red, green and blue of sRGB as profiles have them, adapted to D50 by Bradford
-        [
-            [0.4360747, 0.3850649, 0.1430804],
-            [0.2225045, 0.7168786, 0.0606169],
-            [0.0139322, 0.0971045, 0.7141733],
-        ]
-    )
+# Columns: red, green and blue of sRGB as profiles have them, adapted to D50 by Bradford.
+SRGB_IN_D50 = np.array(
+    [
+        [0.4360747, 0.3850649, 0.1430804],
+        [0.2225045, 0.7168786, 0.0606169],
+        [0.0139322, 0.0971045, 0.7141733],
+    ]
 )
 SAME_LEVELS = 2  # of 255: what makers' own profiles of sRGB differ by
 GRID = np.stack(np.meshgrid(*3 * [np.arange(0, 256, 51)]), axis=-1).reshape(1, -1, 3).astype(np.uint8)
 LEVELS = np.arange(256) / 255
-ROUNDING, DARK, BRIGHT = (
-    1e-3,
-    0.2,
-    0.8,
-)  # of light: what curves fall by, and what they make of black and white
+# Of light: what curves fall by, and what they make of black and white.
+ROUNDING, DARK, BRIGHT = 1e-3, 0.2, 0.8
 LEAST_GAMMA = 1.6  # the curves of displays and cameras are 1.8 to 2.4; less is linear light or a logarithm
 GAMMA_OF_SRGB = (2.1, 2.3)  # PNG: what writers of sRGB put into gAMA is 2.2, and means sRGB's own curve
 ADOBE_GAMMA = 563 / 256
-SAME_CURVE = frozenset(
-    (1, 2, 6, 13, 14, 15)
-)  # ITU-T H.273, transfer characteristics taken as sRGB's, as of clips
+# ITU-T H.273, transfer characteristics taken as sRGB's, as of clips.
+SAME_CURVE = frozenset((1, 2, 6, 13, 14, 15))
 CURVES = {4: 2.2, 5: 2.8, 8: 1.0}  # likewise: exponent from levels to light
 
 
@@ -82,7 +77,7 @@ class PhotoSpace:
 
 def photo_space(image: Image.Image) -> PhotoSpace | None:
     """What an open photo says of its levels; None where they are sRGB, or nothing is said."""
-    coded = png_chunk(image, b"cICP")
+    coded = png_chunk(image, b"cICP", behind=False)
     if coded is not None and len(coded) == 4:
         return _of_numbers(coded[0], coded[1])
     profile = image.info.get("icc_profile")

@@ -206,7 +206,10 @@ def _copies(photos: list[_Photo]) -> dict[int, int]:
     The largest is kept, of equal ones that which still has its tags, then that of the shortest name.
     """
     rows = np.stack([photo.grey.ravel() for photo in photos]).astype(np.float32)
-    shows = rows.std(axis=1) > SHOWS
+    shows, rows = rows.std(axis=1) > SHOWS, rows - rows.mean()
+    square = np.square(rows).sum(axis=1)
+    off = (square[:, None] + square - 2 * rows @ rows.T) / rows.shape[1]  # mean squares of all pairs at once
+    alike = (off < SAME_LEVEL**2) & shows & shows[:, None]
 
     def worth(i: int) -> tuple[int, bool, int, int]:
         exif = photos[i].exif
@@ -214,9 +217,7 @@ def _copies(photos: list[_Photo]) -> dict[int, int]:
 
     copies: dict[int, int] = {}
     for i in range(len(photos)):
-        off = np.sqrt(np.square(rows - rows[i]).mean(axis=1))
-        same = [k for k in np.flatnonzero((off < SAME_LEVEL) & shows & shows[i]).tolist() if k != i]
-        best = min([i, *same], key=worth)
+        best = min([i, *np.flatnonzero(alike[i]).tolist()], key=worth)
         if best != i:
             copies[i] = best
     return copies

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # they bring OpenCV, which reading clocks does not need
     from devrf.calibration.clocks.cues import Curve
     from devrf.calibration.clocks.geometry import PairCheck
 
-SURE_S = 5e-3  # standard deviation, by each of two cues, of a clock that nothing else moves
+SURE_S = 5e-3  # standard deviation of a clock that is good to measure by: those by sound are better
 
 
 def clock_dict(clock: Clock) -> dict[str, Any]:
@@ -47,7 +47,10 @@ def clocks_in_use(run_dir: Path) -> dict[str, Clock]:
 
 
 def sure_clocks(run_dir: Path) -> frozenset[str]:
-    """Training cameras whose times sound and the geometry of what moves agree on; with the one whose clock it is."""
+    """Training cameras whose times sound and the geometry of what moves agree on, each to `SURE_S`.
+
+    With them the one whose clock it is.
+    """
     checked = read_object(run_dir / "scene" / "clock_check.json")
     clocks = _clocks(checked.get("cameras", {}))
 

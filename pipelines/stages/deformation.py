@@ -21,7 +21,7 @@ from devrf.pipelines.health.training_rows import (
 )
 from devrf.pipelines.inputs.flow_clips import flow_estimator
 from devrf.pipelines.inputs.training_options import training_options
-from devrf.pipelines.run_folder.clocks import clock_dict, clocks_in_use, sure_clocks
+from devrf.pipelines.run_folder.clocks import SURE_S, clock_dict, clocks_in_use, sure_clocks
 from devrf.pipelines.run_folder.training_checkpoint import training_checkpoint
 from devrf.pipelines.stage import StageContext
 from devrf.reconstruct import recipe
@@ -34,7 +34,6 @@ from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.own_motion import fit_own
 from devrf.reconstruct.training.test_clocks import ViewOffset, view_offset
 
-KNOWN_MS = 5.0  # standard deviation of a clock that is good to measure by: those by sound are better
 FIELD = "motion is a field: clocks are found on models of parts only"
 
 
@@ -50,12 +49,10 @@ def run(context: StageContext) -> None:
     checkpoint = training_checkpoint(context, "deformation", asked)
     options, fits = fit_to_memory(context, scene, asked, memory, checkpoint)
     flows = read_flows(context.run_dir / "flow")
-    training, own = (
-        TrainingRun(context.device, context.progress, checkpoint),
-        context.config.reconstruct.motion,
-    )
-    estimator = partial(flow_estimator, context.config, context.scene_dir, context.device)
+    own = context.config.reconstruct.motion
     if own == "auto":
+        estimator = partial(flow_estimator, context.config, context.scene_dir, context.device)
+        training = TrainingRun(context.device, context.progress, checkpoint)
         model, metrics = recipe.motion(scene, rest, flows, options, training, estimator)
     else:
         model, metrics = fit_own(own, scene, rest, flows, options, context.progress)
@@ -98,7 +95,7 @@ def _test_clocks(
 
 
 def unknown_test_clocks(scene: Scene, clocks: Mapping[str, Clock]) -> list[str]:
-    """Cameras that are not trained on whose clocks are not known to `KNOWN_MS`."""
+    """Cameras that are not trained on whose clocks are not good enough to measure by."""
     splits = {name: {f.split for f in scene.dynamic if f.camera_name == name} for name in clocks}
-    unsure = {name for name, clock in clocks.items() if 1e3 * clock.std_s > KNOWN_MS}
+    unsure = {name for name, clock in clocks.items() if clock.std_s > SURE_S}
     return [name for name, of in splits.items() if of == {"test"} and name in unsure]

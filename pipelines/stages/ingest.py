@@ -143,10 +143,8 @@ def _filmed(cameras: dict[str, CameraFrames]) -> Iterator[Measure]:
     gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
     worst = max(gaps, key=lambda name: gaps[name])
     lost = next((text for text in cameras[worst].notes if "frames missing" in text), "frames are missing")
-    facts, refuses = (
-        {"source": cameras[worst].source, "lost": lost},
-        not carried("frames-dropped", gaps.values()),
-    )
+    facts = {"source": cameras[worst].source, "lost": lost}
+    refuses = not carried("frames-dropped", gaps.values())
     yield Measure("frames-dropped", gaps[worst], worst, facts=facts, refuses=refuses)
 
 

@@ -80,7 +80,7 @@ class Training(ABC):
         """Go on from a `state`."""
 
     def go_back(self) -> int:
-        """To the last good point, fresh optimisers; returns its iteration."""
+        """To the last good point, fresh optimisers; returns its iteration. Of trainings whose steps are watched."""
         raise NotImplementedError
 
     def settles(self, done: int) -> bool:
@@ -93,7 +93,7 @@ class Training(ABC):
         return iteration / self.iterations, f"{self.name}, iteration {iteration} of {self.iterations}{last}"
 
     def shown(self) -> object:
-        """What a `Watch` looks at."""
+        """What a `Watch` looks at. Of trainings that are given one."""
         raise NotImplementedError
 
 

@@ -255,12 +255,13 @@ def test_focal_lengths_across_and_down_that_differ_are_named(corner):
     assert "sweep-focal itself, across and down" not in judged.fired(said)
 
 
-def test_a_zoom_in_mid_sweep_and_weak_pictures_are_named(corner):
-    zoom = {"from": "static/000004.png", "focal_px": [300.0, 345.0], "error_px": 0.4}
+@pytest.mark.parametrize(("later_px", "verdict"), [(320.0, "warn"), (345.0, "fail")])
+def test_a_zoom_in_mid_sweep_and_weak_pictures_are_named(corner, later_px, verdict):
+    zoom = {"from": "static/000004.png", "focal_px": [300.0, later_px], "error_px": 0.4}
     adjustment = corner.model.report["adjustment"] | {"zoom": zoom}
     rows = fired(changed(corner.model, adjustment=adjustment, weak=["static/000007.png"]))
     row = rows["sweep-focal one for all pictures"]
-    assert "static/000004.png" in row.remedy and "345" in row.remedy and row.verdict == "warn"
+    assert "static/000004.png" in row.remedy and f"{later_px:.0f}" in row.remedy and row.verdict == verdict
     assert "static/000007.png" in rows["sweep-points"].remedy and rows["sweep-points"].verdict == "warn"
 
 

@@ -13,10 +13,8 @@ from devrf.capture.scene import PosedFrame, SparsePoints
 from devrf.capture.system.amounts import some
 from devrf.capture.system.doubles import doubles
 
-SAME_ROTATION, SAME_PLACE = (
-    1e-2,
-    1e-2,
-)  # of a matrix; of the cameras' extent: poses of copies may be found one by one
+# Of a matrix; of the cameras' extent: poses of copies may be found one by one.
+SAME_ROTATION, SAME_PLACE = 1e-2, 1e-2
 
 
 def each_once(found: Pictures, notes: list[str]) -> Pictures:
