@@ -27,8 +27,9 @@ from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.inputs.training_options import training_options
 from devrf.pipelines.run_folder.clocks import clocks_in_use
 from devrf.pipelines.stages.evaluate import true_masks
-from devrf.reconstruct.evaluation.evaluate import LpipsNets, evaluate
+from devrf.reconstruct.evaluation.evaluate import Known, LpipsNets, evaluate
 from devrf.reconstruct.rendering.model import DynamicModel, render_view
+from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.sampling.retimed import as_trained
 from devrf.reconstruct.storage.model_io import FILE, load_rest
 from devrf.reconstruct.tracking.find import at_rest, parts_of
@@ -67,11 +68,11 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     found = parts_of(boxed, rest, surface, hidden, moves, Graph(moving), tracks)
     assert found is not None
     options = training_options(config, scene).motion
-    trained = train_movers(boxed, rest, found.stands, found.movers, options)
+    trained = train_movers(MovingPictures(boxed, rest, "cpu"), found.stands, found.movers, options)
     model = DynamicModel.of_movers(rest, trained.stands, trained.movers, len(times), boxed.rest_time)
     with tempfile.TemporaryDirectory() as folder:
-        masks = true_masks(truth_file, scene)
-        score = evaluate(scene, partial(render_view, model), LpipsNets.load(None), Path(folder), masks=masks)
+        known = Known(true_masks(truth_file, scene))
+        score = evaluate(scene, partial(render_view, model), LpipsNets.load(None), Path(folder), known=known)
     name = f"ceiling/{config.name}"
     return [
         Row(f"{name}/nothing moves", told["evaluate"]["static_baseline"]["test_moving"]["psnr"], "dB"),
