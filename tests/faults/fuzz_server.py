@@ -12,18 +12,26 @@ import signal
 import sys
 import time
 import traceback
+from importlib import import_module
 
 import cv2
-import rawpy  # noqa: F401 (imported before the first fork, as the rest)
 from tests.faults.fuzz_readers import READERS
 
 from devrf.capture.system.errors import DevrfError
-from devrf.lab.bench import bench_command  # noqa: F401
 from devrf.pipelines.cli import main as cli
+from devrf.pipelines.stages import stage_names
 
 FAILED = 1
 MOST_BYTES = 12e9  # of address space: what a case asks for beyond must not take the machine down
 POLL_S = 0.01
+# what commands import when they need it: as much work as most cases are
+LIBRARIES = "filelock matplotlib.pyplot PIL.ImageFile psutil rawpy rich.console rich.progress torch"
+COMMANDS = "lab.bench.bench_command pipelines.check.check_command pipelines.init.init_command"
+NEEDED_LATER = (
+    *LIBRARIES.split(),
+    *(f"devrf.{name}" for name in COMMANDS.split()),
+    *(f"devrf.pipelines.stages.{name}" for name in (*stage_names(), "preflight")),
+)
 
 
 def case(job: dict) -> None:
@@ -57,6 +65,8 @@ def case(job: dict) -> None:
 
 def serve() -> None:
     """Until the input ends."""
+    for module in NEEDED_LATER:
+        import_module(module)
     cv2.setNumThreads(1)
     answers = os.fdopen(os.dup(1), "w")
     for line in sys.stdin:
@@ -91,3 +101,4 @@ def ended(pid: int, start: float, limit_s: float) -> dict:
 
 if __name__ == "__main__":
     serve()
+    os._exit(0)  # taking all those libraries apart takes seconds
