@@ -36,8 +36,14 @@ RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 # of `whole_run`; they take minutes, so one worker makes each for all tests
 RUNS = ("example_run", "small_run")
 SMALL_FILM = (12, 12.0, 8_000)  # for `stages.render.SIZES`: a film of a second
-# longest first, so that no worker ends long after the others
-FIRST = ("end_to_end", "browser", "faults", "lab", "pipelines")
+WITH_SMALL_FILM = f"""
+from devrf.pipelines.cli.main import main
+from devrf.pipelines.stages import render
+render.SIZES["tiny"] = {SMALL_FILM}
+main()
+"""
+# folders and files, longest first, so that no worker ends long after the others
+FIRST = ("end_to_end", "test_crew_files.py", "browser", "faults", "lab", "pipelines")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -58,8 +64,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Longest first."""
 
     def rank(item: pytest.Item) -> int:
-        folder = item.path.relative_to(REPOSITORY / "tests").parts[0]
-        return FIRST.index(folder) if folder in FIRST else len(FIRST)
+        place = item.path.relative_to(REPOSITORY / "tests").parts[0]
+        return FIRST.index(place) if place in FIRST else len(FIRST)
 
     items.sort(key=rank)
 
@@ -241,7 +247,7 @@ class ExampleRun:
 
 
 @pytest.fixture(scope="session")
-def example_run(devrf_process: Command, tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
+def example_run(tmp_path_factory: pytest.TempPathFactory) -> ExampleRun:
     """The pipeline, run once on a copy of the example session, in a process of its own: its memory is measured.
 
     `DEVRF_EXAMPLE_RUN` names a folder that is kept and used again, to work on such tests.
@@ -250,10 +256,12 @@ def example_run(devrf_process: Command, tmp_path_factory: pytest.TempPathFactory
     folder = Path(kept).resolve() if kept else tmp_path_factory.mktemp("example") / "session"
     if not folder.exists():
         shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("runs"))
-    run_dir = folder / "run"
-    result = devrf_process("run", folder, "--preset", "tiny", "--set", "output=run")
-    assert result.code == 0, result.said
-    return ExampleRun(folder / "scene.yaml", run_dir)
+    command = [sys.executable, "-c", WITH_SMALL_FILM, "run", str(folder), "--preset", "tiny"]
+    done = subprocess.run(
+        [*command, "--set", "output=run"], capture_output=True, text=True, timeout=RUN_LIMIT_S
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return ExampleRun(folder / "scene.yaml", folder / "run")
 
 
 @pytest.fixture(scope="session")

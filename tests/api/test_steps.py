@@ -121,7 +121,9 @@ def test_a_data_set_step_by_step(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_a_session_gives_the_cameras_of_its_scene_yaml(small_run: ExampleRun, tmp_path: Path) -> None:
+def test_a_session_gives_the_cameras_of_its_scene_yaml_on_small_run(
+    small_run: ExampleRun, tmp_path: Path
+) -> None:
     raw = small_run.scene.parent
     cameras = {name: raw / f"{name}.mp4" for name in ("cam0", "cam2", "witness")}
     session = devrf.Session(static=raw / "static", cameras=cameras, test_names=("witness",), rest="start")
