@@ -70,7 +70,7 @@ def likelihoods(surface: Surface, films: Sequence[Film], rest_time: float) -> Li
         taken = [film.nearest(moment, within) for moment in moments]
         if at_rest is None:
             continue
-        sight = Sight(film, surface.xyz, surface.normals, surface.spacing)
+        sight = Sight(film, surface)
         ids = np.flatnonzero(sight.seen)
         pictures = {n: _look(film, n) for n in taken if n is not None}
         if not len(ids) or not pictures:

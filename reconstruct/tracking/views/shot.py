@@ -1,6 +1,6 @@
 """What one picture says of the points that its camera sees, and of where they should be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -44,30 +44,34 @@ _NOTHING = _Placed(np.zeros(0, dtype=int), np.zeros((0, 2)), np.zeros(0))
 
 
 class Shot:
-    """One picture at one moment: what it says of the points that its camera sees."""
+    """One picture at one moment: what it says of the points that its camera sees.
 
-    def __init__(self, camera: int, templates: Templates, n: int, share: float) -> None:
+    It is asked about points at the moment. The picture is taken when they have gone a `share` of their way to there.
+    """
+
+    def __init__(self, camera: int, templates: Templates, n: int, share: float, before: np.ndarray) -> None:
+        """Picture `n` of a camera; `before`: the points at the moment before [p, 3]."""
         self.camera, self.templates, self.film = camera, templates, templates.film
-        self.n, self.share = n, share
+        self.n, self.share, self._before = n, share, before
         self.came = self.flow = _NOTHING
         self.points: Int[np.ndarray, " m"] = _NOTHING.points
 
-    def come(
-        self,
-        begin: int,
-        xyz: np.ndarray,
-        normals: np.ndarray,
-        spacing: float,
-        known: np.ndarray,
-        far: bool = False,
-    ) -> None:
-        """Where optical flow brings `known` points from picture `begin`, in which they are at `xyz`, to this one.
+    def sight(self, surface: Surface) -> Sight:
+        """What the camera sees of the points."""
+        return Sight(self.film, replace(surface, xyz=self._taken(surface.xyz)))
+
+    def _taken(self, xyz: np.ndarray) -> np.ndarray:
+        """Where points are when the picture is taken."""
+        return self._before + self.share * (xyz - self._before)
+
+    def come(self, begin: int, surface: Surface, known: np.ndarray, far: bool = False) -> None:
+        """Where optical flow brings `known` points from picture `begin`, in which they are at `surface`, to this one.
 
         It goes from picture to picture. `far`: by flow that finds longer ways and is less exact. What else was known of
         the picture is forgotten.
         """
         self.points, self.flow = self.points[:0], _NOTHING
-        sight = Sight(self.film, xyz, normals, spacing)
+        sight = Sight(self.film, surface)
         points = np.flatnonzero(sight.seen & known)
         if len(points) < FEWEST_SEEN:
             return
@@ -81,19 +85,17 @@ class Shot:
 
     def look(
         self,
-        xyz: np.ndarray,
-        normals: np.ndarray,
         surface: Surface,
         sigmas: tuple[float, ...],
         asked: Bool[np.ndarray, " p"] | None = None,
         again: bool = False,
     ) -> None:
-        """Draw what the picture should show with points at `xyz`, and hold it against the picture.
+        """Draw what the picture should show with points at `surface`, and hold it against the picture.
 
         `again`: they hardly moved since the last time, so what flow found then stays. Where only some points are asked
         about, what is around them is looked at, and nothing else is said.
         """
-        sight = Sight(self.film, xyz, normals, surface.spacing)
+        sight = self.sight(surface)
         self.points, fewest = self.templates.known(sight), FEWEST_SEEN
         if asked is not None:
             self.points, fewest = self.points[asked[self.points]], FEWEST_ASKED
@@ -134,7 +136,7 @@ class Shot:
         """
         if not len(self.points):
             return self.points, np.zeros(0)
-        at = self.film.camera.project(xyz[self.points])
+        at = self.film.camera.project(self._taken(xyz)[self.points])
         behind = sampled(self.templates.behind, at)
         real = sampled(self._even, at)
         apart = np.linalg.norm(self.drawn - behind, axis=1)
@@ -143,7 +145,8 @@ class Shot:
         return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
 
     def shown(self, xyz: np.ndarray, known: np.ndarray) -> Shown:
-        """Where the picture shows `known` points that are expected at `xyz` when it is taken."""
+        """Where the picture shows `known` points that are expected at `xyz`."""
+        xyz = self._taken(xyz)
         points, target, weight = (values[known[self.flow.points]] for values in self.flow)
         if not len(points):
             return Shown(points, np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
@@ -158,7 +161,8 @@ class Shot:
         return blurred(self.film.sharp(self.n), LIKE_PX)
 
     def pull(self, xyz: np.ndarray, pulls: Sum) -> None:
-        """Add what the picture wants of points that are at `xyz` when it is taken."""
+        """Add what the picture wants of points that are at `xyz`."""
+        xyz = self._taken(xyz)
         for placed, huber in ((self.came, HUBER_FLOW), (self.flow, HUBER_DRAWN)):
             pulls.add_places(self._seen(placed.points, xyz), placed.target, placed.weight, huber)
         if not len(self.points):
