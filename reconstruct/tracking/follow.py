@@ -66,57 +66,6 @@ class _Following(NamedTuple):
     left_out: CrossValidation
 
 
-@dataclass(frozen=True)
-class _Task:
-    """What is followed, again and again.
-
-    Attributes:
-        graph: Of points that move.
-        films: With what stands in them.
-        times: Of all moments.
-        before: How many of them are before the moment of rest.
-        progress: Told how much is done, of each time.
-        runs: On disk.
-    """
-
-    graph: Graph
-    films: Sequence[Film]
-    times: Float[np.ndarray, " t"]
-    before: int
-    progress: Callable[[float], object]
-    runs: Runs
-
-    def both_ways(self, offsets: Float[np.ndarray, " c"], name: str) -> _Following:
-        """From the moment of rest to the last and to the first; the two runs have a common name."""
-        there = self._one_way(1, offsets, f"{name}, forward")
-        here = self._one_way(-1, offsets, f"{name}, back")
-        xyz = np.stack([x.astype(np.float32) for x in (*here.past.xyz[:0:-1], *there.past.xyz)])
-        lost = np.stack([*here.past.lost[:0:-1], *there.past.lost])
-        seen = {1: there.offsets, -1: here.offsets}
-        left_out = here.left_out.with_those_of(there.left_out)
-        return _Following(Tracks(self.times, xyz, lost, offsets), seen, left_out)
-
-    def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], run: str) -> Follower:
-        """To the last moment, or with a negative sign to the first."""
-        films, times, done = self.films, self.times[self.before :], 0
-        if sign < 0:
-            films, times = [film.backwards() for film in films], -self.times[self.before :: -1]
-            done = len(self.times) - len(times)
-        side_by_side = all(film.estimator.parallel for film in films)
-        with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
-            seen = Offsets(sign * offsets, self.graph.surface.xyz)
-            follower = Follower(self.graph, films, times, seen, pool)
-            begun = self.runs.of(run)
-            if begun is not None:
-                follower.take_up(begun)
-            for moment in range(1, len(times)):
-                if moment == follower.past.coming:
-                    follower.go_on()
-                    self.runs.moved_on(run, len(times) - 1 - moment, follower.state)
-                self.progress((done + moment) / max(len(self.times) - 1, 1))
-        return follower
-
-
 def follow_both_ways(
     graph: Graph,
     films: Sequence[Film],
@@ -159,6 +108,48 @@ def follow_both_ways(
     if gain.side() > 0:
         return last.tracks, [Decision("clocks", moved, "as they are", reason)]
     return as_said.tracks, [Decision("clocks", "as they are", moved, reason)]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is followed, again and again: as `follow_both_ways` takes it; `before`: moments before the time of rest."""
+
+    graph: Graph
+    films: Sequence[Film]
+    times: Float[np.ndarray, " t"]
+    before: int
+    progress: Callable[[float], object]
+    runs: Runs
+
+    def both_ways(self, offsets: Float[np.ndarray, " c"], name: str) -> _Following:
+        """From the moment of rest to the last and to the first; the two runs have a common name."""
+        there = self._one_way(1, offsets, f"{name}, forward")
+        here = self._one_way(-1, offsets, f"{name}, back")
+        xyz = np.stack([x.astype(np.float32) for x in (*here.past.xyz[:0:-1], *there.past.xyz)])
+        lost = np.stack([*here.past.lost[:0:-1], *there.past.lost])
+        seen = {1: there.offsets, -1: here.offsets}
+        left_out = here.left_out.with_those_of(there.left_out)
+        return _Following(Tracks(self.times, xyz, lost, offsets), seen, left_out)
+
+    def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], run: str) -> Follower:
+        """To the last moment, or with a negative sign to the first."""
+        films, times, done = self.films, self.times[self.before :], 0
+        if sign < 0:
+            films, times = [film.backwards() for film in films], -self.times[self.before :: -1]
+            done = len(self.times) - len(times)
+        side_by_side = all(film.estimator.parallel for film in films)
+        with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
+            seen = Offsets(sign * offsets, self.graph.surface.xyz)
+            follower = Follower(self.graph, films, times, seen, pool)
+            begun = self.runs.of(run)
+            if begun is not None:
+                follower.take_up(begun)
+            for moment in range(1, len(times)):
+                if moment == follower.past.coming:
+                    follower.go_on()
+                    self.runs.moved_on(run, len(times) - 1 - moment, follower.state)
+                self.progress((done + moment) / max(len(self.times) - 1, 1))
+        return follower
 
 
 def _but_sure_ones(offsets: Float[np.ndarray, " c"], films: Sequence[Film]) -> Float[np.ndarray, " c"]:
