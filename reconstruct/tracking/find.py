@@ -38,10 +38,8 @@ OWN = 5.0  # spacings: voxels farther from every surface point stand
 # Of a part's points: what is lost belongs to what it hung on, so a limb is a piece of a part when it is lost.
 LOST_SHARE = 0.25
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
-STILL, MOVING_SHARE = (
-    0.75,
-    0.05,
-)  # voxels; share of the points that have moved by so much when moments say anything
+# Voxels; share of the points that have moved by so much when moments say anything.
+STILL, MOVING_SHARE = 0.75, 0.05
 
 
 class AtRest(NamedTuple):

@@ -126,7 +126,7 @@ class _Task:
         there = self._one_way(1, offsets, f"{name}, forward")
         here = self._one_way(-1, offsets, f"{name}, back")
         xyz = np.stack([x.astype(np.float32) for x in (*here.past.xyz[:0:-1], *there.past.xyz)])
-        lost = np.stack([*here.past.lost[:0:-1], *there.past.lost])
+        lost = np.stack([self.graph.points_of(x) for x in (*here.past.lost[:0:-1], *there.past.lost)])
         seen = {1: there.offsets, -1: here.offsets}
         left_out = here.left_out.with_those_of(there.left_out)
         return _Following(Tracks(self.times, xyz, lost, offsets), seen, left_out)

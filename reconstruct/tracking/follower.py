@@ -59,7 +59,7 @@ class Follower:
         past, graph, moment = self.past, self.graph, self.past.coming
         shots = self.shots()
         shots.come()
-        lost = past.nodes_lost[-1]
+        lost = past.lost[-1]
         expected = carried(past, past.ahead(), lost)
         found = Estimate(expected, lost, np.full(len(lost), np.nan))
         if len(shots.all) >= FEWEST_CAMERAS:
@@ -85,9 +85,10 @@ class Follower:
     def _learn(self, shots: Shots) -> None:
         """Take templates of points that are seen for the first time."""
         surface = self.graph.posed(self.past.poses[-1])
+        known = ~self.graph.points_of(self.past.lost[-1])
         for shot in shots.all:
             sight = shot.sight(surface)
-            sight.seen &= ~self.past.lost[-1]
+            sight.seen &= known
             shot.templates.learn(shot.n, sight)
 
     def state(self) -> Arrays:

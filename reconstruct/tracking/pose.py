@@ -84,7 +84,8 @@ class Shots:
     def come(self, far: bool = False) -> None:
         """See where points come from pictures at the moment before, or from the last ones; `far`: by flow that finds
         longer ways."""
-        past, surface, known = self.past, self.graph.posed(self.past.poses[-1]), ~self.past.lost[-1]
+        past, graph = self.past, self.graph
+        surface, known = graph.posed(past.poses[-1]), ~graph.points_of(past.lost[-1])
 
         def one(shot: Shot) -> None:
             late = self.late[shot.camera]

@@ -29,7 +29,7 @@ def look_again(shots: Shots, found: Estimate, expected: Pose) -> None:
     lost then: looking takes long.
     """
     past, graph = shots.past, shots.graph
-    new = found.lost & ~past.nodes_lost[-1]
+    new = found.lost & ~past.lost[-1]
     due = past.coming - past.sought >= SEEK_EVERY or new.sum() >= FEWEST_LOST
     if due and found.lost.sum() >= FEWEST_LOST:
         asked = graph.points_of(found.lost)
@@ -57,7 +57,7 @@ def _guesses(shots: Shots, found: Estimate, expected: Pose) -> Iterator[Pose]:
     past = shots.past
     yield carried(past, found.pose, found.lost)
     yield past.poses[-1]
-    if (found.lost & ~past.nodes_lost[-1]).any():
+    if (found.lost & ~past.lost[-1]).any():
         yield _gone_far(shots, expected)
 
 
@@ -114,7 +114,7 @@ def _gone_along_with(
     near = np.flatnonzero((away < edges * past.graph.edge) & ~lost)
     if len(near) < FEWEST_AROUND:
         return near
-    seen = max(moment for moment, lost_then in enumerate(past.nodes_lost) if not lost_then[group].any())
+    seen = max(moment for moment, lost_then in enumerate(past.lost) if not lost_then[group].any())
     there = nodes + past.poses[seen].shifts
     (rotation,), (shift,) = motion_of(nodes[near], there[None, near])
     taken = nodes[group] @ rotation.T + shift

@@ -18,18 +18,17 @@ class Trajectory:
         times: Of all moments, evenly spaced; at the first it rests [t].
         gap: Between two.
         poses: At each moment so far.
-        nodes_lost, lost: Nodes and points that pictures do not show, at each [n], [p].
+        lost: Nodes that pictures do not show, at each [n].
         xyz: The points, at each [p, 3].
         sought: Moment at which what is lost was last sought in vain.
     """
 
     def __init__(self, graph: Graph, times: Float[np.ndarray, " t"]) -> None:
         """At rest."""
-        nodes, points = len(graph.nodes), len(graph.surface)
         self.graph, self.times, self.sought = graph, times, -SEEK_EVERY
         self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
-        self.poses, self.xyz = [Pose.rest(nodes)], [graph.surface.xyz]
-        self.nodes_lost, self.lost = [np.zeros(nodes, dtype=bool)], [np.zeros(points, dtype=bool)]
+        self.poses, self.xyz = [Pose.rest(len(graph.nodes))], [graph.surface.xyz]
+        self.lost = [np.zeros(len(graph.nodes), dtype=bool)]
 
     @property
     def coming(self) -> int:
@@ -39,11 +38,10 @@ class Trajectory:
     def add(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> None:
         """The pose at the next moment, and nodes that are lost there."""
         self.poses.append(pose)
-        self.nodes_lost.append(lost)
+        self.lost.append(lost)
         self.xyz.append(self.graph.points(pose))
         if len(self.xyz) > 2:  # moments are worked out from the two before: the others are only results
             self.xyz[-3] = self.xyz[-3].astype(np.float32)
-        self.lost.append(self.graph.points_of(lost))
 
     def at(self, time: float) -> Float[np.ndarray, "p 3"]:
         """All points at a time that has been, or soon comes: on the way between the two moments around it."""
@@ -66,7 +64,7 @@ class Trajectory:
         return {
             "rotations": np.stack([pose.rotations for pose in self.poses]),
             "shifts": np.stack([pose.shifts for pose in self.poses]),
-            "lost": np.stack(self.nodes_lost),
+            "lost": np.stack(self.lost),
             "sought": np.array(self.sought),
         }
 

@@ -450,7 +450,7 @@ def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(
     true = true_tracks(surface, card, np.array([0.625]))[0]
     with ThreadPoolExecutor(1) as pool:
         follower = Follower(graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool)
-        lost_nodes = follower.past.nodes_lost[-1]
+        lost_nodes = follower.past.lost[-1]
         lost_nodes[:] = graph.nodes[:, 0] > CENTRES[1, 0]
         lost = graph.points_of(lost_nodes)
         assert (believed(graph, lost_nodes) == ~lost).all()
