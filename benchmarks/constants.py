@@ -20,9 +20,11 @@ def named_and_literals(source: str) -> tuple[int, int]:
     """Numbers to which a file gives names, of a tuple each one, and those that stand elsewhere in it."""
     named = literals = 0
     for node in ast.parse(source).body:
-        constants = (n.value for n in ast.walk(node) if isinstance(n, ast.Constant))
+        parts = list(ast.walk(node))
+        constants = (n.value for n in parts if isinstance(n, ast.Constant))
         numbers = [c for c in constants if isinstance(c, int | float) and not isinstance(c, bool)]
-        if isinstance(node, ast.Assign | ast.AnnAssign):
+        computed = any(isinstance(n, ast.Call) for n in parts)
+        if isinstance(node, ast.Assign | ast.AnnAssign) and not computed:
             named += len(numbers)
         else:
             literals += sum(number not in PLAIN for number in numbers)
