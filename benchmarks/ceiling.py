@@ -56,16 +56,16 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     rest = load_rest(run / "canonical" / FILE, "cpu")
     boxed = scene.in_box_frame()
     assert boxed.rest_time is not None
-    surface, hidden = at_rest(boxed, rest)
+    seen = at_rest(boxed, rest)
+    surface = seen.surface
     clips = films(boxed, DisFlow())
     times, _ = moments(clips, boxed.rest_time)
     late_s = late(run, scene, truth_file, told["deformation"].get("clock_offsets_s", {}))
     points = true_points(scene, truth_file, np.append(boxed.rest_time, times), late_s)
     moves, xyz = carried(surface.xyz, surface.spacing, points)
-    moving = surface.only(moves)
     never = np.zeros(xyz.shape[:2], dtype=bool)
     tracks = Tracks(times, xyz.astype(np.float32), never, np.zeros(len(clips)))
-    found = parts_of(boxed, rest, surface, hidden, moves, Graph(moving), tracks)
+    found = parts_of(boxed, rest, seen, moves, Graph(surface.only(moves)), tracks)
     assert found is not None
     options = training_options(config, scene).motion
     trained = train_movers(MovingPictures(boxed, rest, "cpu"), found.stands, found.movers, options)

@@ -50,10 +50,6 @@ class Intrinsics:
         """A camera with these intrinsics at a pose."""
         return Camera(self.width, self.height, self.K, cam_from_world, self.distortion, self.model)
 
-    def oblong(self, pixel_aspect: float = 1.0) -> float:
-        """How much the focal lengths across and down differ beyond what pixels of that width over height explain."""
-        return float(abs(np.log(self.K[1, 1] / (self.K[0, 0] * pixel_aspect))))
-
     def turned(self, upright: Upright) -> "Intrinsics":
         """The same device's, in pictures that were turned and mirrored so."""
         if upright.nothing:

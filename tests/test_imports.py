@@ -183,7 +183,7 @@ def test_a_room_is_not_imported_by_its_bare_name(room: str) -> None:
 
 
 MOST_PARAMETERS, MOST_METHODS = 6, 12
-WIDE, LARGE = 19, 1  # functions and classes that have more: never more of these than there are
+WIDE, LARGE = 9, 0  # functions and classes that have more: never more of these than there are
 
 
 def unlike_others(path: Path) -> bool:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.clocks.equations import Equation, PairCue, groups
+from devrf.calibration.clocks.equations import Clock, Equation, PairCue, groups
 from devrf.calibration.clocks.flash import Brightness, Flashes, find_flashes, flash_delay
 from devrf.calibration.clocks.motion import MotionDelay, motion_delay
 from devrf.calibration.clocks.sound import ACCEPT_RATIO, SoundDelay, sound_delay
@@ -75,6 +75,8 @@ class Extras:
         av_lag_s: Camera -> how late its sound is behind its pictures.
         readout_s: Camera -> time from the first row's reading to the last one's.
         rest: When the clips show the scene at rest.
+        true_times: Whether the frames' times come from a table on one clock.
+        known: Clocks that stand, the first camera's among them; the others are found against these.
     """
 
     brightness: Mapping[str, Brightness] = field(default_factory=dict)
@@ -82,6 +84,8 @@ class Extras:
     av_lag_s: Mapping[str, float] = field(default_factory=dict)
     readout_s: Mapping[str, float] = field(default_factory=dict)
     rest: Rest = "none"
+    true_times: bool = False
+    known: Mapping[str, Clock] = field(default_factory=dict)
 
 
 @dataclass

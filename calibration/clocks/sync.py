@@ -86,10 +86,8 @@ def synchronise(
     sounds: Mapping[str, Sound],
     motion: Mapping[str, Float[np.ndarray, "_ 2"]],
     method: Method = "auto",
-    true_times: bool = False,
     progress: Progress = no_progress,
     extras: Extras | None = None,
-    known: Mapping[str, Clock] | None = None,
 ) -> SyncResult:
     """Put all cameras on the first one's clock.
 
@@ -98,10 +96,8 @@ def synchronise(
         sounds: Camera -> sound, only for those that have one.
         motion: Camera -> motion energies, rows of (time, energy).
         method: The cue to use; auto: true times where given, else sound and flashes, else motion.
-        true_times: Whether the frames' times come from a table on one clock.
         progress: Called after each pair.
         extras: What else is known of the clips.
-        known: Clocks that stand, the first camera's among them; the others are found against these.
     Returns:
         Clocks. A camera that no cue reaches keeps its best guess with a confidence below 0.5.
     Raises:
@@ -109,19 +105,19 @@ def synchronise(
     """
     extras = extras or Extras()
     names = list(spans_s)
-    if true_times and method in ("auto", "timestamps"):
+    if extras.true_times and method in ("auto", "timestamps"):
         basis = "the table of times is on one clock"
         return SyncResult({n: Clock(0.0, 0.0, 0.0, "timestamps", 1.0, basis) for n in names})
     if len(names) == 1:
         return SyncResult({names[0]: _reference()})
     longest_s = max(b - a for a, b in spans_s.values())
     if method == "timestamps":
-        return _by_timecode(names, extras.recorded, longest_s, known or {})
+        return _by_timecode(names, extras.recorded, longest_s, extras.known)
     if method == "none":
         basis = "the clips' own times are taken as true, unchecked"
         clocks = {n: Clock(0.0, 0.0, 0.0, "none", 0.0, basis) for n in names}
         return SyncResult(clocks, notes=("clocks are not synchronised: calibration.sync.method is none",))
-    known = dict(known or {})
+    known = extras.known
     evidence = Evidence(known=frozenset(known))
     sounds = {n: replace(s, start_s=s.start_s - extras.av_lag_s.get(n, 0.0)) for n, s in sounds.items()}
     if method in ("auto", "audio"):

@@ -5,6 +5,7 @@ that shows it from the most similar place; whether both really show it is told b
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -23,20 +24,31 @@ SIGHTED_SIDE_PX = 640  # of pictures in which points are only recognised
 MAX_ERROR_PX = 2.0  # mean reprojection error of a point
 
 
-def sweep_pairs(
-    name: str, view: View, model: SweepModel, factor: float, read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]]
-) -> Pairs:
+@dataclass(frozen=True)
+class SweepPoints:
+    """The sweep's points, and the pictures that show them.
+
+    Attributes:
+        model: The sweep.
+        factor: From its unit to the fixed cameras'.
+        read: The picture of a name in the model.
+    """
+
+    model: SweepModel
+    factor: float
+    read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]]
+
+
+def sweep_pairs(name: str, view: View, sweep: SweepPoints) -> Pairs:
     """Colours of a fixed camera's points in the sweep (first) and in its clean picture (second).
 
     Args:
         name: Of the camera.
         view: Its clean picture.
-        model: The sweep.
-        factor: From the sweep's unit to the camera's.
-        read: The picture of a name in the model.
+        sweep: The points.
     """
     colours, place = [np.zeros((0, 2, 3))], [np.zeros((0, 2))]
-    for xyz, swept, seen in _by_picture(view.camera, model, factor, read):
+    for xyz, swept, seen in _by_picture(view.camera, sweep):
         found, usable = shared_colours(xyz, swept, view, (seen, None))
         colours.append(found[usable])
         place.append(view.camera.project(xyz[usable]) / view.camera.width)
@@ -44,19 +56,12 @@ def sweep_pairs(
 
 
 def sweep_sightings(
-    camera: Camera,
-    pictures: Sequence[UInt8[np.ndarray, "h w 3"]],
-    model: SweepModel,
-    factor: float,
-    read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]],
+    camera: Camera, pictures: Sequence[UInt8[np.ndarray, "h w 3"]], sweep: SweepPoints
 ) -> tuple[Float[np.ndarray, "n 2"], Bool[np.ndarray, "pictures n"]]:
-    """Where a fixed camera should see the sweep's points, pixels, and in which of its pictures it does.
-
-    Other arguments as `sweep_pairs`'.
-    """
+    """Where a fixed camera should see the sweep's points, pixels, and in which of its pictures it does."""
     views = [_small(View(camera, rgb)) for rgb in pictures]
     places, found = [np.zeros((0, 2))], [np.zeros((len(pictures), 0), bool)]
-    for xyz, swept, seen in _by_picture(camera, model, factor, read):
+    for xyz, swept, seen in _by_picture(camera, sweep):
         small = _small(swept)
         at = seen * (small.camera.width / swept.camera.width)
         places.append(camera.project(xyz))
@@ -75,18 +80,18 @@ def _small(view: View) -> View:
 
 
 def _by_picture(
-    camera: Camera, model: SweepModel, factor: float, read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]]
+    camera: Camera, sweep: SweepPoints
 ) -> Iterator[tuple[Float[np.ndarray, "n 3"], View, Float[np.ndarray, "n 2"]]]:
     """Points that a camera may see, by the picture of the sweep they are compared with, and where that shows them."""
-    unit = np.diag([factor, factor, factor, 1.0])
-    cameras = [swept.moved(unit) for swept in model.cameras]
-    points, picture, seen = _best_views(camera, model, factor, cameras)
+    unit = np.diag([*[sweep.factor] * 3, 1.0])
+    cameras = [swept.moved(unit) for swept in sweep.model.cameras]
+    points, picture, seen = _best_views(camera, sweep.model, sweep.factor, cameras)
     counts = np.bincount(picture, minlength=len(cameras))
     for n in np.argsort(counts)[::-1][:MOST_PICTURES]:
         mine = picture == n
         if not mine.any():
             break
-        yield points[mine], View(cameras[n], read(model.names[n])), seen[mine]
+        yield points[mine], View(cameras[n], sweep.read(sweep.model.names[n])), seen[mine]
 
 
 def _best_views(

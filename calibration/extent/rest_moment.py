@@ -6,15 +6,14 @@ points among what moves is asked whether its picture stands still instead: what 
 moves is not at rest.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from devrf.calibration.colour.sweep_points import sweep_sightings
-from devrf.calibration.sweep.static_poses import SweepModel
+from devrf.calibration.colour.sweep_points import SweepPoints, sweep_sightings
 from devrf.capture.camera import Camera
 
 Moment = Literal["start", "middle", "end", "none"]
@@ -64,9 +63,7 @@ def rest_seen(
     pictures: Sequence[UInt8[np.ndarray, "h w 3"] | None],
     moves: Bool[np.ndarray, "mh mw"],
     still: tuple[bool, bool],
-    model: SweepModel,
-    factor: float,
-    read: Callable[[str], UInt8[np.ndarray, "_ _ 3"]],
+    sweep: SweepPoints,
 ) -> RestSeen:
     """Look for the sweep's points in one camera's pictures.
 
@@ -75,12 +72,10 @@ def rest_seen(
         pictures: At each moment, in the order of time; None where it does not film.
         moves: What moves in the clip, at any size.
         still: Whether next to nothing moves at the start and at the end.
-        model: The sweep.
-        factor: From the sweep's unit to the camera's.
-        read: The picture of a name in the model.
+        sweep: The points.
     """
     taken = [picture for picture in pictures if picture is not None]
-    places, found = sweep_sightings(camera, taken, model, factor, read)
+    places, found = sweep_sightings(camera, taken, sweep)
     size = np.array(moves.shape[::-1])
     at = np.clip((places / [camera.width, camera.height] * size).astype(int), 0, size - 1)
     among = moves[at[:, 1], at[:, 0]]

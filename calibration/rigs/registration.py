@@ -55,7 +55,7 @@ class Registration:
 
 
 def match_model(
-    xy: Float[np.ndarray, "features 2"], descriptors: UInt8[np.ndarray, "features 128"], model: SweepModel
+    descriptors: UInt8[np.ndarray, "features 128"], model: SweepModel
 ) -> tuple[Int[np.ndarray, " matches"], Int[np.ndarray, " matches"]]:
     """Features and points that look alike in at least one sweep picture: (feature, point) indices.
 
@@ -96,7 +96,7 @@ def register(
     Returns:
         The registration, or None where no pose has enough support; and the number of inliers found.
     """
-    feature, point = match_model(xy, descriptors, model)
+    feature, point = match_model(descriptors, model)
     if len(feature) < MIN_POINTS:
         return None, len(feature)
     size = (intrinsics.width, intrinsics.height)

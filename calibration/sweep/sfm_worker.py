@@ -79,7 +79,7 @@ def map_images(job: dict[str, Any]) -> dict[str, Any]:
     held = {camera for camera, group in zip(cameras, job["groups"], strict=True) if group["fixed"]}
 
     def attempt(folder: Path, rung: dict[str, Any], left_s: float) -> list[pycolmap.Reconstruction]:
-        return _attempt(database, folder, job, rung, held, left_s, len(names))
+        return _attempt(database, folder, job, rung, held, left_s)
 
     def torn(model: pycolmap.Reconstruction) -> int:
         if not job["film"]:
@@ -248,7 +248,6 @@ def _attempt(
     rung: dict[str, Any],
     held: set[int],
     left_s: float,
-    pictures: int,
 ) -> list[pycolmap.Reconstruction]:
     if rung["mapper"] == "global":
         options = pycolmap.GlobalPipelineOptions()
@@ -280,7 +279,7 @@ def _attempt(
         options.use_robust_loss_on_prior_position = True
     if left_s < float("inf"):
         options.max_runtime_seconds = max(1, int(left_s))
-    done = [0]
+    done, pictures = [0], sum(len(group["names"]) for group in job["groups"])
 
     def registered() -> None:
         done[0] += 1

@@ -10,7 +10,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -72,6 +72,25 @@ DEFAULT_OPTIONS = SweepOptions()
 
 
 @dataclass(frozen=True)
+class SweepPictures:
+    """The pictures of a sweep.
+
+    Attributes:
+        folder: Folder that the groups' names are relative to.
+        groups: Pictures by device.
+        ordered: They follow each other in time (a video), so neighbours overlap.
+        masks: What `prepare_masks` wrote; None without masks.
+        places: Where they were taken, by GPS.
+    """
+
+    folder: Path
+    groups: list[DeviceGroup]
+    ordered: bool = True
+    masks: Path | None = None
+    places: Mapping[str, Place | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class SweepModel:
     """The registered sweep and its point cloud, as `read_static_poses` finds them on disk.
 
@@ -122,36 +141,28 @@ class SweepModel:
 
 
 def recover_static_poses(
-    image_folder: Path,
-    groups: list[DeviceGroup],
+    sweep: SweepPictures,
     out: Path,
-    *,
     options: SweepOptions = DEFAULT_OPTIONS,
-    ordered: bool = True,
-    masks: Path | None = None,
-    places: Mapping[str, Place | None] | None = None,
     progress: Progress = no_progress,
 ) -> SweepModel:
     """Register the sweep and write `static_poses.json`, `colmap/`, `points.npz` and `colmap.log` into `out`.
 
     Args:
-        image_folder: Folder that the groups' names are relative to.
-        groups: Pictures by device.
+        sweep: Its pictures.
         out: Existing folder.
         options: Mapper, time.
-        ordered: The pictures follow each other in time (a video), so neighbours overlap.
-        masks: What `prepare_masks` wrote; None without masks.
-        places: Where pictures were taken, by GPS.
         progress: Told how far it is.
     Raises:
         CalibrationError: The worker crashed; carries its last log lines.
         HealthError: Nothing could be registered; says how near the best pair came.
     """
+    groups, ordered = sweep.groups, sweep.ordered
     names = sorted(name for group in groups for name in group.names)
     if len(names) < MIN_MODEL:
         text = f"the sweep has {len(names)} pictures, need at least {MIN_MODEL}; film longer"
         raise CalibrationError("sweep-too-short", text)
-    metres, std_m = local_metres(places or {})
+    metres, std_m = local_metres(sweep.places)
     if why_not(metres, std_m, len(names)):
         metres = {}
     nowhere = np.full(3, np.nan)
@@ -162,8 +173,8 @@ def recover_static_poses(
             {
                 "task": "map",
                 "work": work,
-                "image_path": str(image_folder),
-                "mask_path": None if masks is None else str(masks),
+                "image_path": str(sweep.folder),
+                "mask_path": None if sweep.masks is None else str(sweep.masks),
                 "groups": [_worker_group(group) for group in groups],
                 "places": {n: _prior(metres[n], std_m[n]) for n in metres},
                 "film": ordered,

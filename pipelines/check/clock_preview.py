@@ -33,8 +33,8 @@ def clock_measures(
         motion = {n: c.motion for n, c in courses.items()}
         # Of a long clip the end is not read.
         rest = "start" if config.rest == "start" else "none"
-        extras = Extras(brightness, sync.recorded(moving), settings.av_lag_s, settings.readout_s, rest)
-        return synchronise(spans, sounds, motion, settings.method, table, extras=extras)
+        extras = Extras(brightness, sync.recorded(moving), settings.av_lag_s, settings.readout_s, rest, table)
+        return synchronise(spans, sounds, motion, settings.method, extras=extras)
 
     try:
         by_sound = len(sounds) > 1 or settings.method in ("timestamps", "none")

@@ -11,7 +11,7 @@ from devrf.calibration.colour.colours import CameraColour, Colours
 from devrf.calibration.colour.flicker import steady_gains
 from devrf.calibration.colour.match import Apart, Matched, match_cameras
 from devrf.calibration.colour.surface import Pairs, View
-from devrf.calibration.colour.sweep_points import sweep_pairs
+from devrf.calibration.colour.sweep_points import SweepPoints, sweep_pairs
 from devrf.calibration.rigs.clean_picture import REST_MOMENTS, rest_frames
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
@@ -97,7 +97,7 @@ class _Job:
         for n, name in enumerate(names):
             self.context.progress(0.2 + 0.8 * n / len(names), f"points of {name}")
             view = View(self.rig.cameras[name].camera, self._clean(name))
-            pairs.append(sweep_pairs(name, view, model, self.rig.scale.factor, read))
+            pairs.append(sweep_pairs(name, view, SweepPoints(model, self.rig.scale.factor, read)))
         return pairs
 
     def _clean(self, name: str) -> UInt8[np.ndarray, "_ _ 3"]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from devrf.calibration.clocks.cues import Extras
 from devrf.calibration.clocks.sync import synchronise
 from devrf.capture.colour.srgb import linear_from_srgb
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, sharp, some
@@ -90,7 +91,7 @@ def file_ranges(
     clocks = synchronise(trained, sounds, {}, "audio").cameras
     for test in (name for name in heard if name not in trained):
         alone = trained | {test: spans[test]}
-        clocks[test] = synchronise(alone, sounds, {}, "audio", known=clocks).cameras[test]
+        clocks[test] = synchronise(alone, sounds, {}, "audio", extras=Extras(known=clocks)).cameras[test]
     for name, clock in clocks.items():
         if name != names[0] and clock.confidence >= TRUSTED:
             ranges[name] = (

@@ -13,6 +13,7 @@ from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.static_poses import (
     SweepModel,
     SweepOptions,
+    SweepPictures,
     recover_static_poses,
 )
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, some
@@ -101,16 +102,14 @@ def recover_sweep(
             re_turned = {n: frame.re_turned for n, frame in used.items()}
             count = len(swept.frames.frames) if film else None
             without = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
-        model = recover_static_poses(
+        pictures = SweepPictures(
             ingest / "frames",
             device_groups(sizes, exif, swept.known, sweep.pixel_aspect, turns),
-            out,
-            options=options,
             ordered=film,
             masks=None if swept.masks is None else Path(masks),
             places={name: tags.place for name, tags in exif.items()},
-            progress=progress,
         )
+        model = recover_static_poses(pictures, out, options, progress)
     return model, without
 
 

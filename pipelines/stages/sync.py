@@ -99,16 +99,16 @@ class _Job:
             self.config.av_lag_s,
             self.config.readout_s,
             rest or self.context.config.rest,
+            self.frames.true_times and all(c.role != "joint" for c in cameras.values()),
+            known or {},
         )
         return synchronise(
             {name: (float(t[0]), float(t[-1])) for name, t in times.items()},
             {n: s for n, s in self.sounds.items() if n in cameras},
             {n: m for n, m in self.motion.items() if n in cameras},
             self.config.method,
-            self.frames.true_times and all(c.role != "joint" for c in cameras.values()),
             self.context.progress,
             extras,
-            known,
         )
 
     def place(

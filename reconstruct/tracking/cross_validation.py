@@ -9,10 +9,16 @@ it, before anything is trained.
 from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Bool
 
 from devrf.reconstruct.evaluation.paired import Gain, gain_within_clips
+from devrf.reconstruct.tracking.pose import Shots
+from devrf.reconstruct.tracking.solver.graph import Pose
+from devrf.reconstruct.tracking.solver.quadratics import Sum
+from devrf.reconstruct.tracking.solver.solve import step
 
 FEWEST_POINTS = 20  # of a picture that are worth a mean
+LEFT_OUT = 24  # pictures of each camera at least, where it has as many: neighbours tell the same
 
 
 class CrossValidation:
@@ -26,6 +32,32 @@ class CrossValidation:
     def __init__(self) -> None:
         """Nothing has been left out."""
         self.pictures: dict[tuple[int, int], tuple[float, float]] = {}
+
+    def leave_out(self, shots: Shots, found: Pose, expected: Pose, believed: Bool[np.ndarray, " p"]) -> None:
+        """Hold pictures against points where the others alone want them: one more step, without what one pulls.
+
+        Args:
+            shots: Of one moment.
+            found, expected: Their pose, and where it was expected.
+            believed: Points that pull.
+        """
+        asked = [shot for shot in shots.all if shot.n % max(1, len(shot.film.times) // LEFT_OUT) == 0]
+        if not asked:
+            return
+        graph, xyz = shots.graph, shots.graph.points(found)
+        pulls = {shot: Sum(len(xyz)) for shot in shots.all}
+        for shot, own in pulls.items():
+            shot.pull(xyz, own)
+        for shot in asked:
+            others = Sum(len(xyz))
+            for other, own in pulls.items():
+                if other is not shot:
+                    others.join(own)
+            seen = np.asarray(others.hessian.any((1, 2)))
+            placed = graph.points(step(graph, found, expected, others.of(believed)))
+            points, likeness = shot.likeness(placed)
+            number, time = shot.film.frames[shot.n].index, abs(float(shot.film.times[shot.n]))
+            self.add(shot.camera, number, time, likeness[seen[points]])
 
     def add(self, camera: int, number: int, time: float, likeness: np.ndarray) -> None:
         """What a picture shows of points [m] that the other cameras placed."""

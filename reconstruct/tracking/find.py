@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -38,10 +38,20 @@ OWN = 5.0  # spacings: voxels farther from every surface point stand
 # Of a part's points: what is lost belongs to what it hung on, so a limb is a piece of a part when it is lost.
 LOST_SHARE = 0.25
 SOLID = 0.5  # opacity of what stands from which it hides what is behind
-STILL, MOVING_SHARE = (
-    0.75,
-    0.05,
-)  # voxels; share of the points that have moved by so much when moments say anything
+# Voxels; share of the points that have moved by so much when moments say anything.
+STILL, MOVING_SHARE = 0.75, 0.05
+
+
+class AtRest(NamedTuple):
+    """The scene at rest, as training cameras see it.
+
+    Attributes:
+        surface: Its points, in the box frame.
+        hidden: Vertices behind surfaces in all views.
+    """
+
+    surface: Surface
+    hidden: Bool[Tensor, "X Y Z"]
 
 
 @dataclass(frozen=True)
@@ -140,7 +150,8 @@ def find_movers(
     """
     assert scene.rest_time is not None
     clips = films(scene, estimator)
-    surface, hidden = at_rest(scene, rest)
+    seen = at_rest(scene, rest)
+    surface = seen.surface
     progress(0.1, f"{len(surface)} points at rest")
     if len(surface) < FEWEST_POINTS:
         return None, []
@@ -151,11 +162,8 @@ def find_movers(
     region = _region(rest.canonical, surface, moves)
     stands = rest.canonical.only(~region)
     clips = [_with_what_stands(scene, film, replace(rest, canonical=stands)) for film in clips]
-    moving = surface.only(moves)
-    graph = Graph(moving)
-
+    graph = Graph(surface.only(moves))
     tracks, decisions = follow_both_ways(
-        moving,
         graph,
         clips,
         scene.rest_time,
@@ -163,29 +171,25 @@ def find_movers(
         checkpoint,
         log,
     )
-    return parts_of(scene, rest, surface, hidden, moves, graph, tracks), decisions
+    return parts_of(scene, rest, seen, moves, graph, tracks), decisions
 
 
-def at_rest(scene: Scene, rest: RestModel) -> tuple[Surface, Bool[Tensor, "X Y Z"]]:
-    """Surface points of the scene in the box frame, and what is hidden behind surfaces in all views."""
+def at_rest(scene: Scene, rest: RestModel) -> AtRest:
+    """What a scene in the box frame shows at rest."""
     views = views_at_rest(scene, rest)
-    return surface_at_rest(views, rest), hidden_at_rest(views, rest.canonical)
+    return AtRest(surface_at_rest(views, rest), hidden_at_rest(views, rest.canonical))
 
 
 def parts_of(
     scene: Scene,
     rest: RestModel,
-    surface: Surface,
-    hidden: Bool[Tensor, "X Y Z"],
+    seen: AtRest,
     moves: Bool[np.ndarray, " n"],
     graph: Graph,
     tracks: Tracks,
 ) -> Found | None:
-    """Rigid parts that explain tracks of the points that move; None where too few of these go anywhere.
-
-    `surface` and `hidden` as `at_rest` gives them.
-    """
-    moving, voxel = surface.only(moves), rest.canonical.voxel
+    """Rigid parts that explain tracks of the points that move, by a graph of these; None where too few go anywhere."""
+    moving, voxel = graph.surface, rest.canonical.voxel
     when = _while_moving(tracks, moving, voxel)
     labels = rigid_parts(moving.xyz, tracks.xyz[when], tracks.lost[when], graph.links, voxel)
     kept, labels = _that_move(moving, tracks, labels, voxel)
@@ -193,10 +197,10 @@ def parts_of(
         return None
     going = moves.copy()
     going[moves] = kept
-    region = _region(rest.canonical, surface, going)
+    region = _region(rest.canonical, seen.surface, going)
     moving, tracks = moving.only(kept), tracks.only(kept)
     span_s = scene.t1_s - scene.t0_s
-    movers = movers_of(rest.canonical, region, hidden, moving, tracks, labels)
+    movers = movers_of(rest.canonical, region, seen.hidden, moving, tracks, labels)
     offsets = zip(standing_clips(scene), tracks.offsets.tolist(), strict=True)
     return Found(
         moving,

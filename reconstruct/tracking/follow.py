@@ -22,7 +22,6 @@ from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.offsets import Offsets, offsets_to_follow
 from devrf.reconstruct.tracking.runs import Runs
 from devrf.reconstruct.tracking.solver.graph import Graph
-from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.tracking.views.film import Film
 
 MOST_AGAIN = 2  # times that everything is followed with other clocks
@@ -68,7 +67,6 @@ class _Following(NamedTuple):
 
 
 def follow_both_ways(
-    surface: Surface,
     graph: Graph,
     films: Sequence[Film],
     rest_time: float,
@@ -82,8 +80,7 @@ def follow_both_ways(
     chance, and what was decided.
 
     Args:
-        surface: Points that move, at rest.
-        graph: Of these points.
+        graph: Of points that move.
         films: With what stands in them.
         rest_time: In [0, 1].
         progress: Told how much is done, of each time.
@@ -94,17 +91,14 @@ def follow_both_ways(
     """
     times, before = moments(films, rest_time)
     gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
-    runs = Runs(checkpoint, len(surface), log or TrainingLog("cpu", 1))
-
-    def followed(offsets: Float[np.ndarray, " c"], name: str) -> _Following:
-        return _both_ways(surface, graph, films, times, before, offsets, progress, runs, name)
-
-    every = [followed(np.zeros(len(films)), "as said")]
+    runs = Runs(checkpoint, len(graph.surface), log or TrainingLog("cpu", 1))
+    task = _Task(graph, films, times, before, progress, runs)
+    every = [task.both_ways(np.zeros(len(films)), "as said")]
     while len(every) <= MOST_AGAIN:
         offsets = _but_sure_ones(offsets_to_follow([one.seen for one in every], gap), films)
         if np.abs(offsets - every[-1].tracks.offsets).max() < SETTLED * gap or not offsets.any():
             break
-        every.append(followed(offsets, f"{len(every)} times again"))
+        every.append(task.both_ways(offsets, f"{len(every)} times again"))
     runs.write()
     as_said, last = every[0], every[-1]
     if last is as_said:
@@ -114,6 +108,48 @@ def follow_both_ways(
     if gain.side() > 0:
         return last.tracks, [Decision("clocks", moved, "as they are", reason)]
     return as_said.tracks, [Decision("clocks", "as they are", moved, reason)]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is followed, again and again: as `follow_both_ways` takes it; `before`: moments before the time of rest."""
+
+    graph: Graph
+    films: Sequence[Film]
+    times: Float[np.ndarray, " t"]
+    before: int
+    progress: Callable[[float], object]
+    runs: Runs
+
+    def both_ways(self, offsets: Float[np.ndarray, " c"], name: str) -> _Following:
+        """From the moment of rest to the last and to the first; the two runs have a common name."""
+        there = self._one_way(1, offsets, f"{name}, forward")
+        here = self._one_way(-1, offsets, f"{name}, back")
+        xyz = np.stack([x.astype(np.float32) for x in (*here.past.xyz[:0:-1], *there.past.xyz)])
+        lost = np.stack([self.graph.points_of(x) for x in (*here.past.lost[:0:-1], *there.past.lost)])
+        seen = {1: there.offsets, -1: here.offsets}
+        left_out = here.left_out.with_those_of(there.left_out)
+        return _Following(Tracks(self.times, xyz, lost, offsets), seen, left_out)
+
+    def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], run: str) -> Follower:
+        """To the last moment, or with a negative sign to the first."""
+        films, times, done = self.films, self.times[self.before :], 0
+        if sign < 0:
+            films, times = [film.backwards() for film in films], -self.times[self.before :: -1]
+            done = len(self.times) - len(times)
+        side_by_side = all(film.estimator.parallel for film in films)
+        with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
+            seen = Offsets(sign * offsets, self.graph.surface.xyz)
+            follower = Follower(self.graph, films, times, seen, pool)
+            begun = self.runs.of(run)
+            if begun is not None:
+                follower.take_up(begun)
+            for moment in range(1, len(times)):
+                if moment == follower.past.coming:
+                    follower.go_on()
+                    self.runs.moved_on(run, len(times) - 1 - moment, follower.state)
+                self.progress((done + moment) / max(len(self.times) - 1, 1))
+        return follower
 
 
 def _but_sure_ones(offsets: Float[np.ndarray, " c"], films: Sequence[Film]) -> Float[np.ndarray, " c"]:
@@ -156,55 +192,3 @@ def _second(films: Sequence[Film]) -> float:
     if first_s is None or last_s is None:
         return np.inf
     return float(longest.times[-1] - longest.times[0]) / (last_s - first_s)
-
-
-def _both_ways(
-    surface: Surface,
-    graph: Graph,
-    films: Sequence[Film],
-    times: Float[np.ndarray, " t"],
-    middle: int,
-    offsets: Float[np.ndarray, " c"],
-    progress: Callable[[float], object],
-    runs: Runs,
-    name: str,
-) -> _Following:
-    """From one of the times to the last and to the first; the two runs have a common name."""
-    done = 0
-
-    def tell() -> None:
-        nonlocal done
-        done += 1
-        progress(done / max(len(times) - 1, 1))
-
-    seen = {sign: Offsets(sign * offsets, surface.xyz) for sign in (1, -1)}
-    there = _follow(surface, graph, films, times[middle:], seen[1], tell, runs, f"{name}, forward")
-    back = [film.backwards() for film in films]
-    here = _follow(surface, graph, back, -times[middle::-1], seen[-1], tell, runs, f"{name}, back")
-    xyz = np.stack([x.astype(np.float32) for x in (*here.xyz[:0:-1], *there.xyz)])
-    lost = np.stack([*here.lost[:0:-1], *there.lost])
-    return _Following(Tracks(times, xyz, lost, offsets), seen, here.left_out.with_those_of(there.left_out))
-
-
-def _follow(
-    surface: Surface,
-    graph: Graph,
-    films: Sequence[Film],
-    times: Float[np.ndarray, " t"],
-    offsets: Offsets,
-    tell: Callable[[], object],
-    runs: Runs,
-    run: str,
-) -> Follower:
-    side_by_side = all(film.estimator.parallel for film in films)
-    with ThreadPoolExecutor(min(len(films), usable_cores()) if side_by_side else 1) as pool:
-        follower = Follower(surface, graph, films, times, offsets, pool)
-        begun = runs.of(run)
-        if begun is not None:
-            follower.take_up(begun)
-        for moment in range(1, len(times)):
-            if moment == len(follower.xyz):
-                follower.go_on(moment)
-                runs.moved_on(run, len(times) - 1 - moment, follower.state)
-            tell()
-    return follower

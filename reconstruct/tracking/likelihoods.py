@@ -30,9 +30,7 @@ NEAREST_PX, FARTHEST_PX = 2.0, 60.0  # of those around the point, evenly in the 
 KERNEL = 1.5  # width of the density's kernel, in standard deviations of the noise
 LEAST = 1e-4  # density of any look, over that of the likeliest
 UNEXPLAINED = 0.02  # share of looks of a point that is there that are as if something else were
-OTHER_LIGHT = (
-    0.5  # share of them in the light of the surroundings: that light alone changes is as likely as not
-)
+OTHER_LIGHT = 0.5  # share of them in the light of the surroundings: light alone changes as likely as not
 AT_ONCE = 1 << 16  # points that are looked up together, in half a gigabyte
 
 Look = Float32[np.ndarray, "h w 5"]
@@ -70,7 +68,7 @@ def likelihoods(surface: Surface, films: Sequence[Film], rest_time: float) -> Li
         taken = [film.nearest(moment, within) for moment in moments]
         if at_rest is None:
             continue
-        sight = Sight(film, surface.xyz, surface.normals, surface.spacing)
+        sight = Sight(film, surface)
         ids = np.flatnonzero(sight.seen)
         pictures = {n: _look(film, n) for n in taken if n is not None}
         if not len(ids) or not pictures:

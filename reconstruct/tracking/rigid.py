@@ -16,10 +16,8 @@ TURNS = 25  # of motions and labels, at most
 EVEN = 2.0  # what agreeing with all neighbours is worth, in usual squared residuals
 MOTION = 3.0  # how much more motion counts than place in the choice of the first parts
 SAME = 0.75  # voxels: residual of two parts up to which they are one
-SURELY, WORSE = (
-    0.33,
-    1.4,
-)  # of it: two parts are one in any case; else only while the residual grows by less than this
+# Of it: two parts are one in any case; else only while the residual grows by less than this.
+SURELY, WORSE = 0.33, 1.4
 SMALL, SMALL_SAME = 50, 3.3  # points; so much more residual joins a part of fewer
 FEWEST = 8  # points that have a motion
 GUESSED = 1e-4  # weight of a place that is a guess; of points that are never seen, guesses decide the part

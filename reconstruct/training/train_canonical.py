@@ -44,9 +44,7 @@ from devrf.reconstruct.training.subject_box import subject_box
 from devrf.reconstruct.training.train_coarse import SEEN_BATCHES, Draw, hand_on, train_coarse, visible
 
 LOG_EVERY = 25
-ALPHA_INIT = (
-    1e-2  # of a voxel that nothing is known about: thin enough to see through, thick enough to learn from
-)
+ALPHA_INIT = 1e-2  # of a voxel that nothing is known about: thin enough to see through, thick enough to learn
 LR_MLP = 1e-3  # initial; of the published program, as in every preset
 FEWEST_DRAWN = 256  # rays of an iteration, however many samples they have
 READING, COARSE = 0.05, 0.2  # shares of the progress bar for reading pictures and for finding the box

@@ -57,9 +57,8 @@ from devrf.reconstruct.training.losses import (
 )
 
 LOG_EVERY = 50
-LIVE_EVERY = (
-    10  # iterations between rebuilds of where the moving scene may be; 3 voxels more cover its way meanwhile
-)
+# Iterations between rebuilds of where the moving scene may be; 3 voxels more cover its way meanwhile.
+LIVE_EVERY = 10
 PUBLISHED_RAYS = 8192  # by which variation is weighted, whatever is drawn
 JUDGED = 512  # rays by which it is seen whether a key has become worse: the same before and after
 WORSE = 1.26  # 1 dB: by how much worse a key may fit them than before; steps a third as large do a third of the harm

@@ -48,9 +48,8 @@ SWEEP = 0.25  # rays of the sweep for one of the moving cameras, and their weigh
 ENTROPY, PER_POINT = 1e-3, 1e-2  # weights
 TRAINS = 3e-3  # weight from which a sample has a colour: half of the time, and fog has one
 FOG = 0.004  # opacity of a step, of what could stand where movers are
-ZONE = (
-    2  # voxels around movers in which it could, and in which what stands may be wrong: it was hidden by them
-)
+# Voxels around movers in which it could, and in which what stands may be wrong: it was hidden by them.
+ZONE = 2
 OCCUPANCY_EVERY = 50  # iterations
 LOG_EVERY = 50
 

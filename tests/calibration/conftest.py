@@ -14,6 +14,7 @@ from devrf.calibration.sweep.static_poses import (
     DEFAULT_OPTIONS,
     SweepModel,
     SweepOptions,
+    SweepPictures,
     recover_static_poses,
 )
 from devrf.capture.exif import Exif, Place
@@ -62,7 +63,8 @@ class Corner:
         """Structure from motion as the stage does it."""
         out.mkdir(parents=True, exist_ok=True)
         groups = device_groups(dict.fromkeys(self.truth, SIZE), self.exif, None)
-        return recover_static_poses(self.folder, groups, out, options=options, masks=masks, places=places)
+        sweep = SweepPictures(self.folder, groups, masks=masks, places=places or {})
+        return recover_static_poses(sweep, out, options)
 
 
 def texture(rng: np.random.Generator, side: int) -> np.ndarray:

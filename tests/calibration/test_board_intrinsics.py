@@ -16,7 +16,7 @@ from devrf.calibration.boards.coverage import cell_counts
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.capture.camera import Camera
 from devrf.capture.system.errors import HealthError
-from devrf.lab.bench.accuracy.simulated_boards import FOCAL, LENS, SIZE, SPEC, board_views, camera
+from devrf.lab.bench.accuracy.simulated_boards import FOCAL, LENS, SIZE, SPEC, Held, board_views, camera
 
 REPOSITORY = Path(__file__).resolve().parent.parent.parent
 
@@ -94,7 +94,7 @@ def test_the_same_views_give_the_same_intrinsics_to_the_last_bit():
 def test_a_wide_fisheye_is_recognised(focal, lens):
     true = camera(focal, lens, "OPENCV_FISHEYE")
     found = calibrate_intrinsics(
-        "cam0", board_views(16, 0.3, lens=true, share=(0.3, 0.6)), SPEC, SIZE
+        "cam0", board_views(16, 0.3, lens=true, held=Held(share=(0.3, 0.6))), SPEC, SIZE
     ).intrinsics
     assert found.model == "OPENCV_FISHEYE" and found.std is not None
     error = np.abs(found.vector - intrinsics(true).vector)
@@ -118,7 +118,7 @@ def test_the_lens_model_can_be_demanded():
 @pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
 def test_poses_start_exact_at_the_border_too(model):
     cam = camera(500.0, (0.02, 0.01, 0.0, 0.0, 0.0), model)
-    for view in board_views(6, 0.0, lens=cam, place=(0.1, 0.9)):
+    for view in board_views(6, 0.0, lens=cam, held=Held(place=(0.1, 0.9))):
         on_board = SPEC.corners[view.ids]
         pose = board_pose(on_board, view.xy, intrinsics(cam))
         np.testing.assert_allclose(replace(cam, cam_from_world=pose).project(on_board), view.xy, atol=1e-3)
@@ -153,7 +153,9 @@ def test_blurred_views_are_left_out_where_enough_remain():
 
 def test_a_bow_of_the_board_is_measured():
     """1.5 mm over 36 cm: as the doubt says, and the focal length does not follow it."""
-    found = calibrate_intrinsics("cam0", board_views(20, 0.2, bow_m=0.0015), SPEC, SIZE, lens="pinhole")
+    found = calibrate_intrinsics(
+        "cam0", board_views(20, 0.2, held=Held(bow_m=0.0015)), SPEC, SIZE, lens="pinhole"
+    )
     assert abs(found.bow_mm[0] - 1.5) < 4 * found.bow_std_mm[0]
     assert abs(found.bow_mm[1]) < 4 * found.bow_std_mm[1]
     assert abs(found.intrinsics.K[0, 0] - FOCAL) < 4 * found.intrinsics.std[0]  # type: ignore[index]
@@ -180,7 +182,7 @@ def test_cells_are_counted_row_by_row():
 
 
 def test_evidence_says_where_and_how_the_board_was_held():
-    left = board_views(6, 0.1, place=(0.15, 0.3), share=(0.2, 0.3))
+    left = board_views(6, 0.1, held=Held(place=(0.15, 0.3), share=(0.2, 0.3)))
     evidence = calibrate_intrinsics("cam0", left, SPEC, SIZE, lens="pinhole").evidence
     assert "bottom-right corner" in evidence.unseen and "right edge" in evidence.unseen
     assert "left edge" not in evidence.unseen and evidence.coverage < 0.5

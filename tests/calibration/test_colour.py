@@ -14,7 +14,7 @@ from devrf.calibration.colour.colours import CameraColour, Colours, read_colours
 from devrf.calibration.colour.correction_fit import brighter_by, difference, fit_correction, folds
 from devrf.calibration.colour.match import Apart, match_cameras
 from devrf.calibration.colour.surface import WHITE_LEVEL, Pairs, View
-from devrf.calibration.colour.sweep_points import sweep_pairs
+from devrf.calibration.colour.sweep_points import SweepPoints, sweep_pairs
 from devrf.capture.colour.correction import SAME, Look, as_matrix
 from devrf.capture.colour.srgb import LINEAR_OF_LEVEL
 from devrf.capture.frames import SWEEP
@@ -189,7 +189,7 @@ def swept():
 
 def with_sweep(swept, view: View) -> Pairs:
     model, pictures = swept
-    return sweep_pairs("cam0", view, model, 1.0, pictures.__getitem__)
+    return sweep_pairs("cam0", view, SweepPoints(model, 1.0, pictures.__getitem__))
 
 
 @pytest.mark.parametrize(("kind", "colours"), LOOKS)
@@ -212,7 +212,7 @@ def test_a_sweep_of_another_unit(swept):
     model, pictures = swept
     view = room.show(room.camera(0.7), seed=99)
     moved = View(view.camera.moved(np.diag([4.0, 4, 4, 1])), view.rgb)
-    pairs = sweep_pairs("cam0", moved, model, 4.0, pictures.__getitem__)
+    pairs = sweep_pairs("cam0", moved, SweepPoints(model, 4.0, pictures.__getitem__))
     assert len(pairs.colours) == len(with_sweep(swept, view).colours)
 
 
@@ -224,7 +224,7 @@ def test_clipped_points_are_left_out(swept):
         for i, (n, c) in enumerate(zip(model.names, model.cameras, strict=True))
     }
     view = room.show(room.camera(0.7), 0.6 * np.eye(3), seed=99, brightest=1.2)
-    pairs = sweep_pairs("cam0", view, model, 1.0, bright.__getitem__)
+    pairs = sweep_pairs("cam0", view, SweepPoints(model, 1.0, bright.__getitem__))
     assert (bright[model.names[4]] >= WHITE_LEVEL).any(axis=2).mean() > 0.2
     assert 30 < len(pairs.colours) < 150  # 320 with the clipped ones
     assert pairs.colours.max() < LINEAR_OF_LEVEL[WHITE_LEVEL]

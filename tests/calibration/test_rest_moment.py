@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.calibration import coloured_room as room
 
+from devrf.calibration.colour.sweep_points import SweepPoints
 from devrf.calibration.extent.rest_moment import (
     FEWEST,
     MOMENTS,
@@ -53,7 +54,8 @@ def seen_at(
         return moved
 
     found = [picture(shift) for shift in moved_px]
-    return rest_seen(view.camera, found, moves[::2, ::2], still, model, 1.0, pictures.__getitem__)
+    sweep = SweepPoints(model, 1.0, pictures.__getitem__)
+    return rest_seen(view.camera, found, moves[::2, ::2], still, sweep)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,12 @@ from tests.refused import refused
 from devrf.calibration.sweep import sfm_process
 from devrf.calibration.sweep.devices import device_groups
 from devrf.calibration.sweep.sfm_process import run_job
-from devrf.calibration.sweep.static_poses import SweepOptions, read_static_poses, recover_static_poses
+from devrf.calibration.sweep.static_poses import (
+    SweepOptions,
+    SweepPictures,
+    read_static_poses,
+    recover_static_poses,
+)
 from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.system.errors import CalibrationError, HealthError
 from devrf.pipelines.health.judge import entries
@@ -78,13 +83,14 @@ def test_blank_walls_are_refused_with_counts(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     with refused("sweep-unregistered", "0 of 4 pictures", "best pair: 0 inliers", kind=HealthError):
-        recover_static_poses(tmp_path, device_groups(dict.fromkeys(names, (160, 120)), {}, None), out)
+        groups = device_groups(dict.fromkeys(names, (160, 120)), {}, None)
+        recover_static_poses(SweepPictures(tmp_path, groups), out)
 
 
 def test_two_pictures_are_no_sweep(tmp_path):
     sizes = {"a.png": (160, 120), "b.png": (160, 120)}
     with refused("sweep-too-short", "2 pictures", "3", kind=CalibrationError):
-        recover_static_poses(tmp_path, device_groups(sizes, {}, None), tmp_path)
+        recover_static_poses(SweepPictures(tmp_path, device_groups(sizes, {}, None)), tmp_path)
 
 
 def test_a_crash_of_the_worker_is_an_error_with_its_last_words(tmp_path):

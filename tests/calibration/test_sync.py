@@ -302,7 +302,7 @@ def test_a_pair_that_contradicts_the_others_is_dropped():
 
 
 def test_methods_that_need_nothing():
-    result = synchronise(spans(), {}, {}, "auto", true_times=True)
+    result = synchronise(spans(), {}, {}, "auto", extras=Extras(true_times=True))
     assert {c.method for c in result.cameras.values()} == {"timestamps"}
     assert all(c.confidence == 1 and c.std_s == 0 for c in result.cameras.values())
     result = synchronise(spans(), {}, {}, "none")
@@ -336,7 +336,7 @@ def test_clocks_that_are_known_stand_and_another_is_put_on_them():
     sounds = {n: claps(rng, times, o) for n, o in zip(NAMES, OFFSETS_S, strict=True)}
     trained = spans(names=NAMES[:-1])
     known = synchronise(trained, {n: sounds[n] for n in trained}, {}).cameras
-    placed = synchronise(spans(), sounds, {}, known=known)
+    placed = synchronise(spans(), sounds, {}, extras=Extras(known=known))
     assert {n: placed.cameras[n] for n in trained} == known
     assert placed.cameras["witness"].offset_s == pytest.approx(OFFSETS_S[-1], abs=2e-4)
     assert placed.cameras["witness"].method == "audio" and placed.cameras["witness"].confidence >= 0.5
@@ -350,6 +350,6 @@ def test_a_camera_beside_known_clocks_that_no_cue_reaches_keeps_a_guess():
     rng = np.random.default_rng(5)
     sounds = {n: claps(rng, [1.03, 1.71, 2.94], o) for n, o in zip(NAMES[:2], OFFSETS_S, strict=False)}
     known = synchronise(spans(names=NAMES[:2]), sounds, {}).cameras
-    placed = synchronise(spans(names=(*NAMES[:2], "witness")), sounds, {}, known=known)
+    placed = synchronise(spans(names=(*NAMES[:2], "witness")), sounds, {}, extras=Extras(known=known))
     assert placed.cameras["witness"].confidence == 0 and placed.loop_s is None
     assert placed.cameras["cam1"] == known["cam1"]

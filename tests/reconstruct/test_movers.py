@@ -42,7 +42,7 @@ from devrf.reconstruct.rendering.rays import Rays, camera_rays
 from devrf.reconstruct.sampling.clean_plate import standing_clips
 from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.storage.model_io import load_deformation, save_deformation, save_rest
-from devrf.reconstruct.tracking.find import Found, find_movers, parts_of, why_not_tracked
+from devrf.reconstruct.tracking.find import AtRest, Found, find_movers, parts_of, why_not_tracked
 from devrf.reconstruct.tracking.follow import Tracks
 from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.surface import Surface
@@ -564,7 +564,7 @@ def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, r
     tracks = replace(tracks, offsets=np.zeros(len(standing_clips(scene))))
     hidden = torch.zeros(rest.canonical.shape, dtype=torch.bool)
     everything = np.ones(300, dtype=bool)
-    found = parts_of(scene, rest, surface, hidden, everything, Graph(surface), tracks)
+    found = parts_of(scene, rest, AtRest(surface, hidden), everything, Graph(surface), tracks)
     assert found is not None and found.movers.parts == 1
     assert np.allclose(found.movers.shifts[:, 0], way, atol=1e-5)
     (told,) = found.told(np.eye(4))

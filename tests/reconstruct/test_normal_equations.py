@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import devrf.reconstruct.tracking.solver.normal_equations as module
-from devrf.reconstruct.tracking.solver.normal_equations import Blocks, edge_terms, point_terms, skew
+from devrf.reconstruct.tracking.solver.normal_equations import Blocks, Pulls, edge_terms, point_terms, skew
 
 NODES, POINTS, FOLLOWED = 7, 60, 3
 
@@ -30,7 +30,7 @@ def test_points_pull_their_nodes_as_the_product_of_derivatives_says(
     slopes, gradient = rng.normal(size=(POINTS, 2, 3)), rng.normal(size=(POINTS, 3))
     hessian = slopes.swapaxes(1, 2) @ slopes
     blocks = Blocks.of(followed, np.array([[0, 6], [6, 0]]), NODES)
-    found, right = point_terms(blocks, rotations, followed, offsets, weights, hessian, gradient)
+    found, right = point_terms(blocks, rotations, followed, offsets, weights, Pulls(hessian, gradient))
     A, b = np.zeros((6 * NODES, 6 * NODES)), np.zeros(6 * NODES)
     for p in range(POINTS):
         by_node = np.zeros((3, 6 * NODES))

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -21,18 +20,22 @@ from devrf.capture.system.errors import OutOfTime
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.training_log import TrainingLog
-from devrf.reconstruct.tracking import follow as follow_module
+from devrf.reconstruct.tracking import recovery
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
-from devrf.reconstruct.tracking.follow import Tracks, _Following, follow_both_ways, moments
-from devrf.reconstruct.tracking.follower import FARTHER, Follower
+from devrf.reconstruct.tracking.follow import Tracks, _Following, _Task, follow_both_ways, moments
+from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.likelihoods import MOMENTS, Likelihoods, likelihoods
 from devrf.reconstruct.tracking.moving_points import PRIOR, _cut, _in_planes, _links, _log_odds, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
+from devrf.reconstruct.tracking.pose import Estimate, Shots, believed
+from devrf.reconstruct.tracking.recovery import FARTHER, carried, look_again
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose
-from devrf.reconstruct.tracking.solver.solve import Pulls, step
+from devrf.reconstruct.tracking.solver.normal_equations import Pulls
+from devrf.reconstruct.tracking.solver.solve import step
 from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.trajectory import Trajectory
 from devrf.reconstruct.tracking.views.film import Film, fetched
 from devrf.reconstruct.tracking.views.shot import Shot
 from devrf.reconstruct.tracking.views.sight import Sight
@@ -131,7 +134,7 @@ def films(tmp_path_factory: pytest.TempPathFactory) -> list[Film]:
 @pytest.fixture(scope="module")
 def tracks(films: list[Film]) -> Tracks:
     surface, _ = on_cards()
-    tracks, decisions = follow_both_ways(surface, Graph(surface), films, 0.5)  # the clocks are right
+    tracks, decisions = follow_both_ways(Graph(surface), films, 0.5)  # the clocks are right
     assert not decisions
     return tracks
 
@@ -212,7 +215,7 @@ def test_a_clock_that_is_wrong_by_more_than_a_picture_is_found(tmp_path: Path) -
     still, late = 3, 1.4 * GAP
     films = filmed(tmp_path, 0.5 + 0.8 * GAP * np.maximum(0, np.arange(14) - still))
     wrong = [replace(films[0], times=films[0].times - late), *films[1:]]
-    found, (decision,) = follow_both_ways(surface, Graph(surface), wrong, GAP)
+    found, (decision,) = follow_both_ways(Graph(surface), wrong, GAP)
     assert str(decision).startswith("clocks: left +") and "ms instead of as they are" in str(decision)
     assert found.offsets == pytest.approx([late, 0, 0], abs=0.3 * GAP)
     true = true_tracks(surface, card, 0.5 + 0.8 * np.maximum(0, found.times - still * GAP))
@@ -225,16 +228,14 @@ def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> No
     graph = Graph(surface)
     of_node = np.argmin(np.abs(graph.nodes[:, :1] - CENTRES[:, 0]), axis=1)
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(
-            surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool
-        )
+        follower = Follower(graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool)
         shifts = np.where(of_node[:, None] == 1, [0.0, 0.0, -0.35], [0.0, 0.0, 0.0])
-        before = replace(follower.poses[0], shifts=shifts)  # as if one card had come from far away
-        follower.poses.insert(0, before)
-        follower.go_on(1)
+        before = replace(follower.past.poses[0], shifts=shifts)  # as if one card had come from far away
+        follower.past.poses.insert(0, before)
+        follower.go_on()
     true = true_tracks(surface, card, np.array([0.625]))[0]
-    wrong = np.linalg.norm(follower.xyz[-1] - true, axis=-1)
-    assert np.median(wrong[card == 1]) < 0.01 and not follower.lost[-1].any()
+    wrong = np.linalg.norm(follower.past.xyz[-1] - true, axis=-1)
+    assert np.median(wrong[card == 1]) < 0.01 and not follower.past.lost[-1].any()
 
 
 @pytest.mark.parametrize("far", [True, False])
@@ -249,14 +250,12 @@ def test_what_goes_far_from_one_picture_to_the_next_is_found(tmp_path: Path, mon
     way = np.linalg.norm(camera.project(true) - camera.project(surface.xyz), axis=1)
     assert np.median(way) > 15  # of 180 pixels
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(
-            surface, Graph(surface), films, films[0].times, Offsets(np.zeros(3), surface.xyz), pool
-        )
+        follower = Follower(Graph(surface), films, films[0].times, Offsets(np.zeros(3), surface.xyz), pool)
         if not far:
-            monkeypatch.setattr(follower, "_gone_far", lambda shots, expected, moment: expected)
-        follower.go_on(1)
-    wrong = np.linalg.norm(follower.xyz[-1] - true, axis=-1)
-    assert (np.median(wrong) < 0.01) == far and follower.lost[-1].any() != far
+            monkeypatch.setattr(recovery, "_gone_far", lambda shots, expected: expected)
+        follower.go_on()
+    wrong = np.linalg.norm(follower.past.xyz[-1] - true, axis=-1)
+    assert (np.median(wrong) < 0.01) == far and follower.past.lost[-1].any() != far
 
 
 @pytest.mark.parametrize(
@@ -277,11 +276,11 @@ def test_flow_is_followed_from_the_picture_at_the_moment_before(films: list[Film
     surface, card = on_cards()
     with ThreadPoolExecutor(1) as pool:
         clocks = Offsets(np.zeros(3), surface.xyz)
-        follower = Follower(surface, Graph(surface), films, 0.5 + 3 * GAP * np.arange(2), clocks, pool)
-        shots = follower.shots(1)
-        follower._come(shots, 1)
+        follower = Follower(Graph(surface), films, 0.5 + 3 * GAP * np.arange(2), clocks, pool)
+        shots = follower.shots()
+        shots.come()
     true = true_tracks(surface, card, np.array([0.5 + 3 * GAP]))[0]
-    for shot in shots:
+    for shot in shots.all:
         points, at, weight = shot.came
         there, rest = (shot.film.camera.project(xyz[points]) for xyz in (true, surface.xyz))
         off, way = (np.median(np.linalg.norm(x - there, axis=1)) for x in (at, rest))
@@ -297,16 +296,16 @@ def test_a_camera_that_films_seldom_says_where_points_come_from_at_its_own_time(
     true = true_tracks(surface, card, np.linspace(0.5, 1, 5))
     with ThreadPoolExecutor(1) as pool:
         clocks = Offsets(np.zeros(3), surface.xyz)
-        follower = Follower(surface, Graph(surface), seldom, np.linspace(0.5, 1, 5), clocks, pool)
-        follower.xyz = list(true[:4])
-        assert np.allclose(follower._where(0.5), true[0]) and np.allclose(follower._where(0.4), true[0])
-        assert np.allclose(follower._where(0.5 + 1.5 * GAP), (true[1] + true[2]) / 2)
-        assert np.allclose(follower._where(0.5 + 3.5 * GAP), 1.5 * true[3] - 0.5 * true[2])
+        follower = Follower(Graph(surface), seldom, np.linspace(0.5, 1, 5), clocks, pool)
+        past, follower.past.xyz = follower.past, list(true[:4])
+        assert np.allclose(past.at(0.5), true[0]) and np.allclose(past.at(0.4), true[0])
+        assert np.allclose(past.at(0.5 + 1.5 * GAP), (true[1] + true[2]) / 2)
+        assert np.allclose(past.at(0.5 + 3.5 * GAP), 1.5 * true[3] - 0.5 * true[2])
         asked: dict[int, tuple[int, np.ndarray]] = {}
         monkeypatch.setattr(
-            Shot, "come", lambda shot, begin, xyz, *_: asked.update({shot.camera: (begin, xyz)})
+            Shot, "come", lambda shot, begin, there, *_: asked.update({shot.camera: (begin, there.xyz)})
         )
-        follower._come(follower.shots(4), 4)
+        follower.shots().come()
     assert [asked[camera][0] for camera in range(3)] == [REST + 3, REST + 3, 1]
     assert np.allclose(asked[0][1], true[3]) and np.allclose(asked[2][1], true[0])
 
@@ -321,7 +320,7 @@ def test_what_turns_back_between_the_moments_of_a_long_clip_is_followed(
     monkeypatch.setattr("devrf.reconstruct.tracking.follow.LONGEST_GAP_S", 1.0)
     true_times = 0.12 * np.abs(np.arange(33) % 10 - 5) - 0.1
     films = filmed(tmp_path, true_times)
-    found = follow_both_ways(surface, Graph(surface), films, 0.0)[0]
+    found = follow_both_ways(Graph(surface), films, 0.0)[0]
     assert len(found.times) == 9
     true = true_tracks(surface, card, np.interp(found.times, films[0].times, true_times))
     assert np.median(np.linalg.norm(found.xyz - true, axis=-1)) < 0.01 and found.lost.mean() < 0.4
@@ -350,11 +349,11 @@ def test_methods_of_flow_see_colours_but_those_that_ask_for_contrast(
     taken = [replace(film, estimator=method) for film in films]
     with ThreadPoolExecutor(1) as pool:
         clocks = Offsets(np.zeros(3), surface.xyz)
-        follower = Follower(surface, Graph(surface), taken, np.linspace(0.5, 1, 5), clocks, pool)
-        shots = follower.shots(1)
-        follower._come(shots, 1)
+        follower = Follower(Graph(surface), taken, np.linspace(0.5, 1, 5), clocks, pool)
+        shots = follower.shots()
+        shots.come()
         came, method.pictures = method.pictures, []
-        follower.found(shots, follower.poses[0], ((1.2, 0.0),))
+        shots.fit(follower.past.poses[0], ((1.2, 0.0),))
     for shown in (came, method.pictures):
         assert len(shown) == 12 and all(picture.dtype == np.uint8 for picture in shown)
         assert all(np.ptp(picture, axis=-1).any() != contrast for picture in shown)
@@ -374,19 +373,19 @@ def test_all_that_is_lost_is_looked_for_at_the_same_moments(films: list[Film], m
     lost, looked, far = np.zeros(len(graph.nodes), dtype=bool), [], []
     with ThreadPoolExecutor(1) as pool:
         clocks = Offsets(np.zeros(3), surface.xyz)
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
-        rest, known = follower.poses[0], np.full(len(lost), np.nan)
-        monkeypatch.setattr(follower, "likeness", lambda shots, pose: known)
-        monkeypatch.setattr(follower, "found", lambda *_: looked.append(moment) or rest)
-        monkeypatch.setattr(follower, "_gone_far", lambda *_: far.append(moment) or rest)
+        past = Trajectory(graph, np.linspace(0.5, 1, 12))
+        rest, known = past.poses[0], np.full(len(lost), np.nan)
+        monkeypatch.setattr(Shots, "likeness", lambda *_: known)
+        monkeypatch.setattr(Shots, "fit", lambda *_: looked.append(moment) or rest)
+        monkeypatch.setattr(recovery, "_gone_far", lambda *_: far.append(moment) or rest)
         for moment in range(1, 11):
             if moment != 9:  # the one at which nothing more is lost
                 lost[: moment + 1] = True
             if moment == 10:
                 lost[: moment + 2] = True  # two at once: these are looked for now, and the others with them
-            follower.lost_nodes = lost.copy()
-            found = follower._found_again([], rest, rest, known, moment)
-            follower._come_to(found, follower.lost_nodes)
+            found = Estimate(rest, lost.copy(), known)
+            look_again(Shots(past, [], clocks.now, pool), found, rest)
+            past.add(found.pose, found.lost)
     assert sorted(set(looked)) == [1, 5, 9, 10] and far == [1, 5, 10]
 
 
@@ -406,17 +405,15 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
     lost = np.flatnonzero(graph.nodes[:, 0] > CENTRES[1, 0] + 0.15)
     pose, wrong = gone_as_one(graph, lost)
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(
-            surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool
-        )
+        follower = Follower(graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool)
         mask = np.isin(np.arange(len(graph.nodes)), lost)
-        carried = follower.carried(wrong, mask)
-        assert np.allclose(carried.shifts, pose.shifts) and np.allclose(carried.rotations, pose.rotations)
-        shots = follower.shots(1)
-        follower.found(shots, wrong, ((1.2, 0.0),))
-        likeness = follower.likeness(shots, wrong)
+        along = carried(follower.past, wrong, mask)
+        assert np.allclose(along.shifts, pose.shifts) and np.allclose(along.rotations, pose.rotations)
+        shots = follower.shots()
+        shots.fit(wrong, ((1.2, 0.0),))
+        likeness = shots.likeness(wrong)
         assert np.nanmedian(likeness[lost]) < 0.25
-        right = follower.likeness(shots, follower.found(shots, Pose.rest(len(graph.nodes)), FARTHER))
+        right = shots.likeness(shots.fit(Pose.rest(len(graph.nodes)), FARTHER))
         assert np.nanmedian(right) > 0.5
 
 
@@ -433,53 +430,52 @@ def test_what_hangs_on_nothing_goes_along_with_what_is_near(
     graph = Graph(surface)
     head = graph.nodes[:, 0] > SIDE + gap / 2
     pose, wrong = gone_as_one(graph, head)
-    with ThreadPoolExecutor(1) as pool:
-        clocks = Offsets(np.zeros(3), surface.xyz)
-        follower = Follower(surface, graph, films, np.linspace(0.5, 1, 5), clocks, pool)
-        assert len(np.unique(follower.graph.piece)) == 2
-        before = Pose(pose.rotations, 0.5 * pose.shifts)
-        if not along:
-            before.shifts[head] *= -1
-        follower._come_to(before, np.zeros(len(head), dtype=bool))
-        follower._come_to(before, head)
-        carried = follower.carried(wrong, head)
+    past = Trajectory(graph, np.linspace(0.5, 1, 5))
+    assert len(np.unique(graph.piece)) == 2
+    before = Pose(pose.rotations, 0.5 * pose.shifts)
+    if not along:
+        before.shifts[head] *= -1
+    past.add(before, np.zeros(len(head), dtype=bool))
+    past.add(before, head)
+    found = carried(past, wrong, head)
     expected = pose if goes else wrong
-    assert np.allclose(carried.shifts, expected.shifts) and np.allclose(carried.rotations, expected.rotations)
+    assert np.allclose(found.shifts, expected.shifts) and np.allclose(found.rotations, expected.rotations)
 
 
-def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(films: list[Film]) -> None:
+def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(
+    films: list[Film], monkeypatch: pytest.MonkeyPatch
+) -> None:
     surface, card = on_cards()
     graph = Graph(surface)
     true = true_tracks(surface, card, np.array([0.625]))[0]
     with ThreadPoolExecutor(1) as pool:
-        follower = Follower(
-            surface, graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool
-        )
-        follower.lost_nodes = graph.nodes[:, 0] > CENTRES[1, 0]
-        lost = follower._points(follower.lost_nodes)
-        assert (follower._believed() == ~lost).all()
-        shots = follower.shots(1)
-        for shot in shots:  # of what is lost they show something else
+        follower = Follower(graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool)
+        lost_nodes = follower.past.lost[-1]
+        lost_nodes[:] = graph.nodes[:, 0] > CENTRES[1, 0]
+        lost = graph.points_of(lost_nodes)
+        assert (believed(graph, lost_nodes) == ~lost).all()
+        shots = follower.shots()
+        for shot in shots.all:  # of what is lost they show something else
             known = shot.templates
             known.at[lost] = known.at[lost][::-1]
         wrong = []
-        for believed in (follower._believed(), None):
-            found = follower.found(shots, Pose.rest(len(graph.nodes)), FARTHER, believed=believed)
+        for counts in (~lost, None):
+            found = shots.fit(Pose.rest(len(graph.nodes)), FARTHER, believed=counts)
             wrong.append(np.linalg.norm(graph.points(found) - true, axis=-1)[(card == 1) & ~lost])
         counted, pulled = (np.quantile(x, 0.9) for x in wrong)
         assert counted < 0.01 < pulled
-        follower.found = Mock(wraps=follower.found)
-        follower.go_on(1)
-        assert (follower.found.call_args_list[0].kwargs["believed"] == ~lost).all()
-        follower.lost_nodes = graph.nodes[:, 0] > 0  # all of a card: nothing hangs on it
-        assert follower._believed().all()
+        fit = Mock(side_effect=Shots.fit)
+        monkeypatch.setattr(Shots, "fit", lambda *given, **named: fit(*given, **named))
+        follower.go_on()
+        assert (fit.call_args_list[0].kwargs["believed"] == ~lost).all()
+        assert believed(graph, graph.nodes[:, 0] > 0).all()  # all of a card: nothing hangs on it
 
 
 def test_what_one_camera_films_alone_goes_on_as_it_went(films: list[Film]) -> None:
     surface, _ = on_cards()
     graph = Graph(surface)
     short = [films[0], *(replace(f, frames=f.frames[:6], times=f.times[:6]) for f in films[1:])]
-    found = follow_both_ways(surface, graph, short, 0.5)[0]
+    found = follow_both_ways(graph, short, 0.5)[0]
     step_6, step_7 = (np.linalg.norm(found.xyz[n] - found.xyz[n - 1], axis=-1) for n in (REST + 2, REST + 4))
     assert np.median(step_7) == pytest.approx(np.median(step_6), rel=0.1)
 
@@ -496,21 +492,21 @@ def test_tracking_that_was_killed_goes_on_where_it_was(
     surface, _ = on_cards()
     checkpoint = Checkpoint(tmp_path / "state.safetensors", "these", every_s=0.0)
     goes = Mock(side_effect=Follower.go_on)
-    monkeypatch.setattr(Follower, "go_on", lambda self, moment: goes(self, moment))
+    monkeypatch.setattr(Follower, "go_on", lambda self: goes(self))
     with pytest.raises(Killed):
         kill = Mock(side_effect=[None] * (moments - 1) + [Killed])
-        follow_both_ways(surface, Graph(surface), films, 0.5, kill, checkpoint)
+        follow_both_ways(Graph(surface), films, 0.5, kill, checkpoint)
     assert goes.call_count == moments
     log = TrainingLog("cpu", 1)
     log.began += 1000  # less than nothing so far: what counts is what was kept
-    again, _ = follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=checkpoint, log=log)
+    again, _ = follow_both_ways(Graph(surface), films, 0.5, checkpoint=checkpoint, log=log)
     assert goes.call_count == PICTURES - 1 and 0 < log.seconds < 1000
     assert np.array_equal(again.xyz, tracks.xyz) and np.array_equal(again.lost, tracks.lost)
-    follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=checkpoint)
+    follow_both_ways(Graph(surface), films, 0.5, checkpoint=checkpoint)
     assert goes.call_count == PICTURES - 1  # what is done is not done again
     over = Checkpoint(tmp_path / "other.safetensors", "these", until=0.0)
     with pytest.raises(OutOfTime):
-        follow_both_ways(surface, Graph(surface), films, 0.5, checkpoint=over)
+        follow_both_ways(Graph(surface), films, 0.5, checkpoint=over)
     assert goes.call_count == PICTURES and over.path is not None and over.path.exists()
 
 
@@ -521,17 +517,16 @@ def followed(films: list[Film], monkeypatch: pytest.MonkeyPatch):
     def decide(likeness: Callable[[float], float]) -> list[float]:
         by: list[float] = []
 
-        def both_ways(surface, graph, films, times, middle, offsets, *others):
+        def both_ways(task, offsets, name):
             by.append(offsets[0] / GAP)
             left_out = CrossValidation()
             for n in range(8):
                 left_out.add(0, n, n / 8, np.full(50, likeness(by[-1]) + 0.001 * (n % 2)))
-            where = np.tile(surface.xyz, (len(times), 1, 1))
-            return _Following(
-                Tracks(times, where, np.zeros(where.shape[:2], dtype=bool), offsets), {}, left_out
-            )
+            where = np.tile(task.graph.surface.xyz, (len(task.times), 1, 1))
+            lost = np.zeros(where.shape[:2], dtype=bool)
+            return _Following(Tracks(task.times, where, lost, offsets), {}, left_out)
 
-        monkeypatch.setattr("devrf.reconstruct.tracking.follow._both_ways", both_ways)
+        monkeypatch.setattr(_Task, "both_ways", both_ways)
         return by
 
     return decide
@@ -546,7 +541,7 @@ def test_clocks_are_moved_where_cameras_left_out_agree_more(
     monkeypatch.setattr(
         "devrf.reconstruct.tracking.follow.offsets_to_follow", lambda seen, gap: np.array([0.5 * GAP, 0, 0])
     )
-    found, (decision,) = follow_both_ways(surface, Graph(surface), films, 0.5)
+    found, (decision,) = follow_both_ways(Graph(surface), films, 0.5)
     assert found.offsets[0] == pytest.approx((0.5 if gain > 0 else 0.0) * GAP)  # as good is not better
     two = ("as they are", f"left {500 * GAP:+.3g} ms")
     assert (decision.chosen, decision.offered) == (two[::-1] if gain > 0 else two)
@@ -573,7 +568,7 @@ def test_everything_is_followed_again_until_offsets_settle(
         "devrf.reconstruct.tracking.follow.offsets_to_follow",
         lambda seen, gap: GAP * np.array([next(said), 0, 0]),
     )
-    found, _ = follow_both_ways(surface, Graph(surface), films, 0.5)
+    found, _ = follow_both_ways(Graph(surface), films, 0.5)
     assert by == pytest.approx(with_which)
     assert found.offsets[0] == pytest.approx(with_which[-1] * GAP)  # those that it was followed with
 
@@ -596,14 +591,14 @@ def test_clocks_that_are_known_stay(
     monkeypatch.setattr(
         "devrf.reconstruct.tracking.follow.offsets_to_follow", lambda seen, gap: np.array([0.5 * GAP, 0, 0])
     )
-    asked, both_ways = [], follow_module._both_ways
+    asked, both_ways = [], _Task.both_ways
 
-    def spied(*arguments: Any) -> Any:
-        asked.append(arguments[5] / GAP)
-        return both_ways(*arguments)
+    def spied(task: _Task, offsets: np.ndarray, name: str) -> _Following:
+        asked.append(offsets / GAP)
+        return both_ways(task, offsets, name)
 
-    monkeypatch.setattr(follow_module, "_both_ways", spied)
-    follow_both_ways(surface, Graph(surface), films, 0.5)
+    monkeypatch.setattr(_Task, "both_ways", spied)
+    follow_both_ways(Graph(surface), films, 0.5)
     assert np.allclose(asked, with_which)
     assert [film.backwards().sure for film in films] == [film.sure for film in films]
 
@@ -800,12 +795,12 @@ def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:
     line = film.camera.centre / np.linalg.norm(film.camera.centre)
     ring = 0.02 * np.stack([np.cos(np.arange(6)), np.zeros(6), np.sin(np.arange(6))], 1)
     xyz = np.concatenate([0.6 * line + ring, 0.1 * line + ring])
-    normals = np.tile(line, (12, 1))
-    seen = Sight(film, xyz, normals, 0.1).seen
+    surface = Surface(xyz, np.tile(line, (12, 1)), np.full_like(xyz, 0.5), 0.1)
+    seen = Sight(film, surface).seen
     assert seen[:6].all() and not seen[6:].any()
-    assert not Sight(film, xyz, -normals, 0.1).seen.any()
+    assert not Sight(film, replace(surface, normals=-surface.normals)).seen.any()
     behind = replace(film, depth=np.full_like(film.depth, 1.0))
-    assert not Sight(behind, xyz, normals, 0.1).seen.any()
+    assert not Sight(behind, surface).seen.any()
 
 
 def test_a_rigid_pose_moves_points_and_normals_rigidly() -> None:
@@ -815,7 +810,7 @@ def test_a_rigid_pose_moves_points_and_normals_rigidly() -> None:
     t = np.array([0.2, -0.1, 0.3])
     pose = Pose(np.tile(R, (len(graph.nodes), 1, 1)), graph.nodes @ R.T + t - graph.nodes)
     assert np.allclose(graph.points(pose), surface.xyz @ R.T + t)
-    assert np.allclose(graph.turned(pose, surface.normals), surface.normals @ R.T)
+    assert np.allclose(graph.posed(pose).normals, surface.normals @ R.T)
     assert np.allclose(graph.points(Pose.rest(len(graph.nodes))), surface.xyz)
 
 
@@ -981,7 +976,7 @@ def test_a_camera_that_is_bumped_does_not_end_tracking(films: list[Film]) -> Non
     K, turn = films[0].camera.K, Rotation.from_rotvec([0, np.radians(2), 0]).as_matrix()
     seen = K @ turn @ np.linalg.inv(K)
     bumped = otherwise(films[0], lambda n, x: cv2.warpPerspective(x, seen, (240, 180)) if n > REST + 1 else x)
-    found = follow_both_ways(surface, Graph(surface), [bumped, *films[1:]], 0.5)[0]
+    found = follow_both_ways(Graph(surface), [bumped, *films[1:]], 0.5)[0]
     assert found.xyz.shape == (PICTURES, len(surface), 3) and np.isfinite(found.xyz).all()
 
 
@@ -989,7 +984,7 @@ def test_a_camera_that_is_bumped_does_not_end_tracking(films: list[Film]) -> Non
 def test_a_film_at_half_the_rate_is_followed_as_well(films: list[Film]) -> None:
     surface, card = on_cards()
     slow = replace(films[0], frames=films[0].frames[::2], times=films[0].times[::2])
-    found = follow_both_ways(surface, Graph(surface), [slow, *films[1:]], 0.5)[0]
+    found = follow_both_ways(Graph(surface), [slow, *films[1:]], 0.5)[0]
     assert not found.offsets.any() and np.allclose(found.times, np.linspace(0, 1, PICTURES))
     wrong = np.linalg.norm(found.xyz - true_tracks(surface, card, found.times), axis=-1)
     assert np.median(wrong) < 0.005 and np.percentile(wrong, 95) < 0.02

@@ -16,10 +16,8 @@ SIDE, FEATURES = 640, 1500  # pixels; of one picture
 RATIO = 0.75  # of the nearest descriptor's distance to the second (Lowe 2004)
 NEAR = 0.005  # of the picture's longer side, from an epipolar line
 CONTRAST = 0.01  # of features; a quarter of the usual
-FEWEST, CLEARLY = (
-    10,
-    3.0,
-)  # matches that an order explains; times as many as another one: by chance 1 in 50 fits
+# Matches that an order explains; times as many as another one: by chance 1 in 50 fits.
+FEWEST, CLEARLY = 10, 3.0
 
 
 def order_that_fits(orders: Sequence[Sequence[PosedFrame]]) -> int | None:

@@ -83,7 +83,7 @@ def read_transforms(path: Path, notes: list[str] | None = None) -> tuple[PosedFr
                 time=time,
                 split=split_of(entry, number in test, where),
                 flow=None if entry.get("flow_path") is None else (path.parent / entry["flow_path"]).resolve(),
-                look=_look(entry, path.parent, where),
+                look=_look(entry, where),
                 matte=None
                 if entry.get("mask_path") is None
                 else find_picture(path.parent, str(entry["mask_path"])),
@@ -103,7 +103,7 @@ def index_of(entry: dict[str, Any], number: int, where: str) -> int:
     return index
 
 
-def _look(entry: dict[str, Any], base: Path, where: str) -> Look | None:
+def _look(entry: dict[str, Any], where: str) -> Look | None:
     """The look of an entry; None where it names none."""
     matrix, gains = (entry.get(k) for k in ("colour_matrix", "colour_gains"))
     if matrix is None and gains is None:

@@ -1,5 +1,7 @@
 """Views of a board with known truth, as corners without pictures: for tests and `bench calibration`."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -11,6 +13,7 @@ SIZE = (1280, 720)
 FOCAL = 1000.0
 CENTRE = (645.0, 352.0)
 LENS = (-0.1, 0.03, 0.0, 0.0, 0.0)
+TILT_DEG = (5.0, 45.0)
 
 
 def camera(
@@ -24,16 +27,30 @@ def camera(
     return Camera(*size, K, np.eye(3, 4), np.array(lens), model)
 
 
+@dataclass(frozen=True)
+class Held:
+    """How a board is held before a camera.
+
+    Attributes:
+        place, share: Ranges of its middle as a share of the picture, and of its width as a share of the picture's.
+        bow_m: How far its middle stands out along x.
+    """
+
+    place: tuple[float, float] = (0.15, 0.85)
+    share: tuple[float, float] = (0.35, 0.75)
+    bow_m: float = 0.0
+
+
+EVERYWHERE = Held()
+
+
 def board_views(
     count: int,
     noise_px: float,
     seed: int = 0,
     lens: Camera | None = None,
-    tilt_deg: tuple[float, float] = (5.0, 45.0),
-    place: tuple[float, float] = (0.15, 0.85),
-    share: tuple[float, float] = (0.35, 0.75),
+    held: Held = EVERYWHERE,
     common_px: float = 0.0,
-    bow_m: float = 0.0,
 ) -> list[BoardView]:
     """Boards tilted in all directions at places all over the picture.
 
@@ -42,23 +59,21 @@ def board_views(
         noise_px: Of every corner, on its own.
         seed: Of all that is drawn.
         lens: The camera; `camera()` where None.
-        tilt_deg, place, share: Ranges of the tilt, of the board's middle as a share of the picture, and of the
-            board's width as a share of the picture's.
+        held: How.
         common_px: Smooth error that the corners of a view share, as of a board that is not where its pose says.
-        bow_m: How far the board's middle stands out along x.
     """
     cam, rng, views = lens or camera(), np.random.default_rng(seed), []
     corners = SPEC.corners
     middle, half = corners.mean(0), np.ptp(corners, axis=0)[:2] / 2
     unit = (corners[:, :2] - middle[:2]) / half
-    bowed = corners + np.column_stack([np.zeros((len(corners), 2)), bow_m * (1 - unit[:, 0] ** 2)])
+    bowed = corners + np.column_stack([np.zeros((len(corners), 2)), held.bow_m * (1 - unit[:, 0] ** 2)])
     while len(views) < count:
         about = rng.uniform(0, 2 * np.pi)
         axis = np.array([np.cos(about), np.sin(about), 0.0])
-        R = cv2.Rodrigues(np.radians(rng.uniform(*tilt_deg)) * axis)[0]
+        R = cv2.Rodrigues(np.radians(rng.uniform(*TILT_DEG)) * axis)[0]
         R = R @ cv2.Rodrigues(np.array([0, 0, rng.uniform(-0.3, 0.3)]))[0]
-        distance = cam.K[0, 0] * SPEC.squares[0] * SPEC.square_m / (rng.uniform(*share) * cam.width)
-        ray = cam.directions(rng.uniform(*place, 2) * (cam.width, cam.height))
+        distance = cam.K[0, 0] * SPEC.squares[0] * SPEC.square_m / (rng.uniform(*held.share) * cam.width)
+        ray = cam.directions(rng.uniform(*held.place, 2) * (cam.width, cam.height))
         centre = ray * distance / (ray[2] if cam.model == "OPENCV" else 1.0)
         pose = np.column_stack([R, centre - R @ middle])
         xy = Camera(cam.width, cam.height, cam.K, pose, cam.distortion, cam.model).project(bowed)

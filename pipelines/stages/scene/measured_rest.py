@@ -1,11 +1,12 @@
 """When the moving clips show the scene as in the sweep, measured in a run's pictures: `capture.rest: auto`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from devrf.calibration.colour.sweep_points import SweepPoints
 from devrf.calibration.extent.motion_masks import MotionMask
 from devrf.calibration.extent.rest_moment import (
     RestSeen,
@@ -55,7 +56,8 @@ def rest_time(
     if sweep is None or not clips:
         return said, []
     times = moments_of(shared)
-    seen = {name: _seen(clip, times, masks[name], *sweep, read) for name, clip in clips.items()}
+    points = SweepPoints(*sweep, read)
+    seen = {name: _seen(clip, times, masks[name], points) for name, clip in clips.items()}
     votes = rest_votes(list(seen.values()))
     times, votes = times[np.isfinite(votes)], votes[np.isfinite(votes)]
     moment, time = rest_moment(times, votes, shared)
@@ -74,9 +76,7 @@ def _seen(
     clip: Sequence[PosedFrame],
     moments: Float[np.ndarray, " moments"],
     mask: MotionMask,
-    model: SweepModel,
-    factor: float,
-    read: Callable[[str], np.ndarray],
+    sweep: SweepPoints,
 ) -> RestSeen:
     times = np.array([frame.time for frame in clip], dtype=float)
     longest = WITHIN_GAPS * float(np.median(np.diff(times)))
@@ -88,7 +88,7 @@ def _seen(
     pictures = [picture(time) for time in moments]
     still = (_still(clip[:SUCCESSIVE]), _still(clip[-SUCCESSIVE:]))
     moves = mask.mask if mask.much is None else mask.much
-    return rest_seen(clip[0].camera, pictures, moves, still, model, factor, read)
+    return rest_seen(clip[0].camera, pictures, moves, still, sweep)
 
 
 def _still(clip: Sequence[PosedFrame]) -> bool:

@@ -4,10 +4,11 @@ Distances are along the surface and do not cross where two surfaces face each ot
 part.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
@@ -41,8 +42,10 @@ class Graph:
     """Nodes, and how points follow them.
 
     Attributes:
+        surface: The points.
         nodes: Positions at rest [n, 3].
         edges: Neighbours, both ways [e, 2].
+        edge: Mean length of these.
         followed, weights: Nodes of each point, and how much it follows them [p, k].
         links: Neighbouring points, weighted by distance (sparse, symmetric).
         piece: Number of what hangs together by edges, of each node [n].
@@ -51,7 +54,7 @@ class Graph:
 
     def __init__(self, surface: Surface, seed: int = 0) -> None:
         xyz, spacing = surface.xyz, surface.spacing
-        self.links = _links(surface)
+        self.surface, self.links = surface, _links(surface)
         chosen = _cover(xyz, NODES_APART * spacing, np.random.default_rng(seed).permutation(len(xyz)))
         self.nodes: Float[np.ndarray, "n 3"] = xyz[chosen]
         along = dijkstra(self.links, directed=False, indices=chosen, limit=5 * NODES_APART * spacing)
@@ -67,6 +70,8 @@ class Graph:
         self.weights: Float[np.ndarray, "p k"] = weights / weights.sum(1, keepdims=True)
         self.offsets: Float[np.ndarray, "p k 3"] = xyz[:, None] - self.nodes[self.followed]
         self.edges = self._edges(along[:, chosen])
+        a, b = self.nodes[self.edges].transpose(1, 0, 2)
+        self.edge = float(np.linalg.norm(b - a, axis=1).mean()) if len(a) else 0.0
         self.piece: Int[np.ndarray, " n"] = pieces(self.edges, len(self.nodes))
         self.blocks = Blocks.of(self.followed, self.edges, len(self.nodes))
         one = np.ones((*self.followed.shape, 1))
@@ -103,10 +108,29 @@ class Graph:
         there = np.concatenate([pose.rotations.mT, (self.nodes + pose.shifts)[:, None]], axis=1)
         return self._places @ there.reshape(-1, 3)
 
-    def turned(self, pose: Pose, vectors: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
-        """Vectors of the points, such as normals."""
+    def posed(self, pose: Pose) -> Surface:
+        """The surface where it is."""
         turns = (self._follow @ pose.rotations.reshape(-1, 9)).reshape(-1, 3, 3)
-        return np.einsum("pij,pj->pi", turns, vectors)
+        normals = np.einsum("pij,pj->pi", turns, self.surface.normals)
+        return replace(self.surface, xyz=self.points(pose), normals=normals)
+
+    def points_of(self, nodes: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " p"]:
+        """Points that mostly follow some nodes."""
+        return (self.weights * nodes[self.followed]).sum(1) > 0.5
+
+    def groups(self, nodes: Bool[np.ndarray, " n"]) -> Iterator[Int[np.ndarray, " k"]]:
+        """Some nodes, those that are neighbours together."""
+        piece = pieces(self.edges[nodes[self.edges].all(1)], len(nodes))
+        for number in np.unique(piece[nodes]):
+            yield np.flatnonzero(nodes & (piece == number))
+
+    def around(self, nodes: Int[np.ndarray, " k"], rings: int) -> Bool[np.ndarray, " n"]:
+        """Nodes within so many edges of some nodes, and these."""
+        a, b = self.edges.T
+        near = np.isin(np.arange(len(self.nodes)), nodes)
+        for _ in range(rings):
+            near[b[near[a]]] = True
+        return near
 
 
 def pieces(pairs: Int[np.ndarray, "k 2"], number: int) -> Int[np.ndarray, " n"]:

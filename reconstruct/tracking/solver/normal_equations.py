@@ -5,7 +5,7 @@ an edge joins. Which there are is known beforehand, so each block is one sum, al
 """
 
 from dataclasses import dataclass
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
 import torch
@@ -85,14 +85,20 @@ def skew(v: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3 3"]:
     return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
+class Pulls(NamedTuple):
+    """What pictures want of all points: the quadratic x^T H x / 2 + b^T x of their moves; 0 where nothing is wanted."""
+
+    hessian: Float[np.ndarray, "p 3 3"]
+    gradient: Float[np.ndarray, "p 3"]
+
+
 def point_terms(
     blocks: Blocks,
     rotations: Float[np.ndarray, "n 3 3"],
     followed: Int[np.ndarray, "p k"],
     offsets: Float[np.ndarray, "p k 3"],
     weights: Float[np.ndarray, "p k"],
-    hessian: Float[np.ndarray, "p 3 3"],
-    gradient: Float[np.ndarray, "p 3"],
+    pulls: Pulls,
 ) -> tuple[Float[np.ndarray, "m 6 6"], Float[np.ndarray, " six_n"]]:
     """What points' quadratics are for small rotations and shifts of the nodes that they follow: blocks and right side.
 
@@ -100,16 +106,16 @@ def point_terms(
         blocks: Of these points.
         rotations: Of the nodes.
         followed, offsets, weights: Of each point its nodes, its place beside them at rest, and how it follows them.
-        hessian, gradient: Of each point (`Pulls`).
+        pulls: On the points.
     """
     turned = np.einsum("pkij,pkj->pki", rotations[followed], offsets)
-    pulled = gradient[:, None] * weights[..., None]
+    pulled = pulls.gradient[:, None] * weights[..., None]
     wrench = np.concatenate([np.cross(turned, pulled), pulled], -1).reshape(-1, 6)
     nodes = followed.ravel()
     right = np.stack([np.bincount(nodes, column, len(rotations)) for column in wrench.T], -1).ravel()
     out = np.empty((len(blocks.pair), 6, 6))
     if use_warp(CPU):
-        shared = (turned, weights, hessian, blocks.first, blocks.point, blocks.slot)
+        shared = (turned, weights, pulls.hessian, blocks.first, blocks.point, blocks.slot)
         kinds = (wp.vec3d, wp.float64, wp.mat33d, wp.int64, wp.int64, wp.vec2l)
         tensors = (torch.from_numpy(np.ascontiguousarray(x)) for x in shared)
         arguments = [array(x, kind) for x, kind in zip(tensors, kinds, strict=True)]
@@ -118,7 +124,7 @@ def point_terms(
     lever = np.concatenate([skew(turned), np.broadcast_to(np.eye(3), (*turned.shape, 3))], -2)
     lever = lever * weights[..., None, None]  # [p, k, 6, 3]
     i, j = (lever[blocks.point, slot] for slot in blocks.slot.T)
-    each = i @ hessian[blocks.point] @ j.mT
+    each = i @ pulls.hessian[blocks.point] @ j.mT
     for n, (begin, end) in enumerate(zip(blocks.first[:-1], blocks.first[1:], strict=True)):
         out[n] = each[begin:end].sum(0)
     return out, right

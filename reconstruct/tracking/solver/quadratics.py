@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.kernels.launch import array, launch, use_warp
-from devrf.reconstruct.tracking.solver.solve import Pulls
+from devrf.reconstruct.tracking.solver.normal_equations import Pulls
 
 CPU = torch.device("cpu")
 

@@ -1,14 +1,12 @@
 """One Gauss-Newton step of the graph: what pictures say, as rigid as possible, not far from what was expected."""
 
-from typing import NamedTuple
-
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose
-from devrf.reconstruct.tracking.solver.normal_equations import edge_terms, point_terms, skew
+from devrf.reconstruct.tracking.solver.normal_equations import Pulls, edge_terms, point_terms, skew
 
 RIGID = 1e3  # weight of edges that stretch or bend, per squared relative length
 TEARS = 0.3  # relative stretch at which an edge counts half: what only touches at rest parts, and skin at a joint holds
@@ -17,18 +15,9 @@ DAMPED, LEAST = 1e-3, 1e-2  # of the diagonal; added to it
 LONGEST_STEP, LARGEST_TURN = 0.08, 0.5  # box units, radians
 
 
-class Pulls(NamedTuple):
-    """What pictures want of all points: the quadratic x^T H x / 2 + b^T x of their moves; 0 where nothing is wanted."""
-
-    hessian: Float[np.ndarray, "p 3 3"]
-    gradient: Float[np.ndarray, "p 3"]
-
-
 def step(graph: Graph, pose: Pose, expected: Pose, pulls: Pulls) -> Pose:
     """The pose after one step."""
-    blocks, b = point_terms(
-        graph.blocks, pose.rotations, graph.followed, graph.offsets, graph.weights, *pulls
-    )
+    blocks, b = point_terms(graph.blocks, pose.rotations, graph.followed, graph.offsets, graph.weights, pulls)
     of_edges, of_nodes = _rigid(graph, pose)
     blocks += of_edges
     b += of_nodes + EXPECTED * _away(pose, expected)

@@ -15,10 +15,8 @@ from devrf.flow.estimator import FlowEstimator, takes_contrast
 from devrf.reconstruct.sampling.clean_plate import standing_clips
 
 SIDE = 512  # pixels: the longest side of pictures that are tracked; finer ones gain less than they cost
-PICTURES, SHARP = (
-    64,
-    3,
-)  # of a film that are remembered: those that points were first seen in are asked again and again
+# Of a film that are remembered: those that points were first seen in are asked again and again.
+PICTURES, SHARP = 64, 3
 # Of the high-pass: standard deviations at a longest side of 640 pixels, and what keeps the logarithm finite.
 FINE_PX, COARSE_PX, DARK, REFERENCE_SIDE = 0.7, 6.0, 0.05, 640
 WIDE_PX = 24.0  # instead of COARSE_PX: flow finds no way that is much longer than what pictures keep is wide

@@ -1,6 +1,6 @@
 """What one picture says of the points that its camera sees, and of where they should be."""
 
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -23,8 +23,7 @@ MARGIN_PX = 48  # around points that are asked about
 DISTINCT = 0.1  # contrast between a point and what stands behind that tells them apart
 
 
-@dataclass
-class _Contrast:
+class _Contrast(NamedTuple):
     """Brightness of a drawn and of a real picture at points, to first order around their pixels."""
 
     apart: Float[np.ndarray, "m 3"]
@@ -40,34 +39,48 @@ class _Placed(NamedTuple):
     weight: Float[np.ndarray, " m"]
 
 
+class _Drawn(NamedTuple):
+    """Points that were drawn, at which pixels, how they should look there, and contrasts to the real picture."""
+
+    points: Int[np.ndarray, " m"]
+    at: Float[np.ndarray, "m 2"]
+    look: Float[np.ndarray, "m 3"]
+    contrasts: list[_Contrast]
+
+
 _NOTHING = _Placed(np.zeros(0, dtype=int), np.zeros((0, 2)), np.zeros(0))
+_NOT_DRAWN = _Drawn(_NOTHING.points, _NOTHING.target, np.zeros((0, 3)), [])
 
 
 class Shot:
-    """One picture at one moment: what it says of the points that its camera sees."""
+    """One picture at one moment: what it says of the points that its camera sees.
 
-    def __init__(self, camera: int, templates: Templates, n: int, share: float) -> None:
+    It is asked about points at the moment. The picture is taken when they have gone a `share` of their way to there.
+    """
+
+    def __init__(self, camera: int, templates: Templates, n: int, share: float, before: np.ndarray) -> None:
+        """Picture `n` of a camera; `before`: the points at the moment before [p, 3]."""
         self.camera, self.templates, self.film = camera, templates, templates.film
-        self.n, self.share = n, share
+        self.n, self.share, self._before = n, share, before
         self.came = self.flow = _NOTHING
-        self.points: Int[np.ndarray, " m"] = _NOTHING.points
+        self.drawn = _NOT_DRAWN
 
-    def come(
-        self,
-        begin: int,
-        xyz: np.ndarray,
-        normals: np.ndarray,
-        spacing: float,
-        known: np.ndarray,
-        far: bool = False,
-    ) -> None:
-        """Where optical flow brings `known` points from picture `begin`, in which they are at `xyz`, to this one.
+    def sight(self, surface: Surface) -> Sight:
+        """What the camera sees of the points."""
+        return Sight(self.film, replace(surface, xyz=self._taken(surface.xyz)))
+
+    def _taken(self, xyz: np.ndarray) -> np.ndarray:
+        """Where points are when the picture is taken."""
+        return self._before + self.share * (xyz - self._before)
+
+    def come(self, begin: int, surface: Surface, known: np.ndarray, far: bool = False) -> None:
+        """Where optical flow brings `known` points from picture `begin`, in which they are at `surface`, to this one.
 
         It goes from picture to picture. `far`: by flow that finds longer ways and is less exact. What else was known of
         the picture is forgotten.
         """
-        self.points, self.flow = self.points[:0], _NOTHING
-        sight = Sight(self.film, xyz, normals, spacing)
+        self.drawn, self.flow = _NOT_DRAWN, _NOTHING
+        sight = Sight(self.film, surface)
         points = np.flatnonzero(sight.seen & known)
         if len(points) < FEWEST_SEEN:
             return
@@ -81,27 +94,25 @@ class Shot:
 
     def look(
         self,
-        xyz: np.ndarray,
-        normals: np.ndarray,
         surface: Surface,
         sigmas: tuple[float, ...],
         asked: Bool[np.ndarray, " p"] | None = None,
         again: bool = False,
     ) -> None:
-        """Draw what the picture should show with points at `xyz`, and hold it against the picture.
+        """Draw what the picture should show with points at `surface`, and hold it against the picture.
 
         `again`: they hardly moved since the last time, so what flow found then stays. Where only some points are asked
         about, what is around them is looked at, and nothing else is said.
         """
-        sight = Sight(self.film, xyz, normals, surface.spacing)
-        self.points, fewest = self.templates.known(sight), FEWEST_SEEN
+        sight = self.sight(surface)
+        points, fewest = self.templates.known(sight), FEWEST_SEEN
         if asked is not None:
-            self.points, fewest = self.points[asked[self.points]], FEWEST_ASKED
-        if len(self.points) < fewest:
-            self.points = self.points[:0]
+            points, fewest = points[asked[points]], FEWEST_ASKED
+        if len(points) < fewest:
+            self.drawn = _NOT_DRAWN
             self.flow = self.flow if again else _NOTHING
             return
-        at = sight.at[self.points]
+        at = sight.at[points]
         first, cut = np.zeros(2), np.s_[:, :]
         if asked is not None:
             self.came = _NOTHING
@@ -110,43 +121,43 @@ class Shot:
             cut = np.s_[first[1] : last[1], first[0] : last[0]]
         film, picture = self.film, self.templates.draw(sight, surface.rgb.astype(np.float32))[cut]
         drawn, real = film.high_pass(picture), np.ascontiguousarray(film.sharp(self.n)[cut])
-        self.at, inside = at, at - first
+        inside = at - first
         if not again:
             flow, missed = film.flow(
                 film.for_flow(picture, drawn), film.for_flow(film.picture(self.n)[cut], real)
             )
             weight = np.exp(-(sampled(missed, inside) ** 2))
-            self.flow = _Placed(self.points, at + sampled(flow, inside), weight)
-        self.drawn = sampled(blurred(drawn, LIKE_PX), inside)
-        self.contrasts = []
+            self.flow = _Placed(points, at + sampled(flow, inside), weight)
+        contrasts = []
         for sigma in sigmas:
             one, other = blurred(drawn, sigma), blurred(real, sigma)
             along, down = np.gradient(one + other, axis=1), np.gradient(one + other, axis=0)
             gradient = 0.5 * np.stack([along, down], -1)
             slope = sampled(gradient.reshape(*one.shape[:2], -1), inside).reshape(-1, 3, 2)
             apart = sampled(other, inside) - sampled(one, inside)
-            self.contrasts.append(_Contrast(apart, slope, max(sigma, LEAST_SIGMA)))
+            contrasts.append(_Contrast(apart, slope, max(sigma, LEAST_SIGMA)))
+        self.drawn = _Drawn(points, at, sampled(blurred(drawn, LIKE_PX), inside), contrasts)
 
     def likeness(self, xyz: np.ndarray) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
         """Points, and whether the picture shows them, at `xyz`, 1, or what stands behind them, -1.
 
         Only of points that were drawn when it was last looked at, and look other than what stands.
         """
-        if not len(self.points):
-            return self.points, np.zeros(0)
-        at = self.film.camera.project(xyz[self.points])
+        points, look = self.drawn.points, self.drawn.look
+        if not len(points):
+            return points, np.zeros(0)
+        at = self.film.camera.project(self._taken(xyz)[points])
         behind = sampled(self.templates.behind, at)
         real = sampled(self._even, at)
-        apart = np.linalg.norm(self.drawn - behind, axis=1)
-        vote = np.linalg.norm(real - behind, axis=1) - np.linalg.norm(real - self.drawn, axis=1)
+        apart = np.linalg.norm(look - behind, axis=1)
+        vote = np.linalg.norm(real - behind, axis=1) - np.linalg.norm(real - look, axis=1)
         telling = (apart > DISTINCT) & np.isfinite(at).all(1)
-        return self.points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
+        return points[telling], (vote[telling] / apart[telling]).clip(-1, 1)
 
     def shown(self, xyz: np.ndarray, known: np.ndarray) -> Shown:
-        """Where the picture shows `known` points that are expected at `xyz` when it is taken."""
+        """Where the picture shows `known` points that are expected at `xyz`."""
+        xyz = self._taken(xyz)
         points, target, weight = (values[known[self.flow.points]] for values in self.flow)
-        if not len(points):
-            return Shown(points, np.zeros((0, 2)), np.zeros((0, 2, 3)), np.zeros(0))
         left = target - self.film.camera.project(xyz[points])
         weight = weight * huber_weight(np.linalg.norm(left, axis=1), HUBER_SHOWN)
         fine = np.isfinite(left).all(1)
@@ -158,15 +169,14 @@ class Shot:
         return blurred(self.film.sharp(self.n), LIKE_PX)
 
     def pull(self, xyz: np.ndarray, pulls: Sum) -> None:
-        """Add what the picture wants of points that are at `xyz` when it is taken."""
+        """Add what the picture wants of points that are at `xyz`."""
+        xyz = self._taken(xyz)
         for placed, huber in ((self.came, HUBER_FLOW), (self.flow, HUBER_DRAWN)):
             pulls.add_places(self._seen(placed.points, xyz), placed.target, placed.weight, huber)
-        if not len(self.points):
-            return
-        seen = self._seen(self.points, xyz)
-        for contrast in self.contrasts:
+        seen = self._seen(self.drawn.points, xyz)
+        for contrast in self.drawn.contrasts:
             weight = contrast.weight * CONTRAST**2
-            pulls.add_brightness(seen, contrast.apart, contrast.slope, self.at, weight, HUBER_CONTRAST)
+            pulls.add_brightness(seen, contrast.apart, contrast.slope, self.drawn.at, weight, HUBER_CONTRAST)
 
     def _seen(self, points: Int[np.ndarray, " m"], xyz: np.ndarray) -> Seen:
         camera = self.film.camera

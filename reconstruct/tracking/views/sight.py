@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.tracking.views.film import Film
 
 BEHIND = 0.03  # box units: what stands hides what is farther behind it than this
@@ -19,17 +20,17 @@ class Sight:
         seen: Whether a point is seen [n].
     """
 
-    def __init__(self, film: Film, xyz: np.ndarray, normals: np.ndarray, spacing: float) -> None:
-        camera = film.camera
+    def __init__(self, film: Film, surface: Surface) -> None:
+        camera, xyz = film.camera, surface.xyz
         self.at = camera.project(xyz)
         z = (xyz @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3])[:, 2]
-        self.ids, depth = _drawn(film, self.at, z, spacing)
+        self.ids, depth = _drawn(film, self.at, z, surface.spacing)
         size = np.array([camera.width, camera.height])
         inside = np.all((self.at > 1) & (self.at < size - 1), axis=1)  # NaN is not
         pixel = np.where(inside[:, None], self.at, 0).astype(int)
         x, y = pixel.T
         towards = camera.centre - xyz
-        facing = (towards * normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
+        facing = (towards * surface.normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
         drawn = self.ids[y, x] >= 0
         self.seen = inside & facing & drawn & (z < depth[y, x] + SLACK)
         self.pixel = pixel
