@@ -22,7 +22,7 @@ from devrf.capture.photos.photo_folders import list_pictures
 from devrf.capture.photos.picture_files import open_picture
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.pipelines.budget.at_once import swept_at_once
-from devrf.pipelines.health.board_rows import board_measures
+from devrf.pipelines.health.board_rows import board_measures, fits
 from devrf.pipelines.health.sweep_rows import sweep_measures
 from devrf.pipelines.inputs.board_clips import files_of
 from devrf.pipelines.inputs.board_spec import board_spec, lens_choice
@@ -39,7 +39,9 @@ def run(context: StageContext) -> None:
     assert capture is not None and capture.static is not None  # else the stage does not apply
     board = _board(context, frames)
     sfm = context.config.calibration.static_poses
-    stored = None if board is None else board.intrinsics.turned(frames.cameras[BOARD].upright.inverse)
+    stored = None
+    if board is not None and fits(board):
+        stored = board.intrinsics.turned(frames.cameras[BOARD].upright.inverse)
     threads, side_px = swept_at_once(context, frames.cameras[SWEEP])
     masks = None
     if sfm.masks is not None:
