@@ -9,7 +9,7 @@ from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intri
 from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.devices import device_groups
-from devrf.calibration.sweep.masks import prepare_masks
+from devrf.calibration.sweep.masks import masks_of, prepare_masks
 from devrf.calibration.sweep.static_poses import (
     SweepModel,
     SweepOptions,
@@ -49,10 +49,10 @@ def run(context: StageContext) -> None:
         masks = folder, source
     options = SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px)
     swept = Swept(ingest, frames.cameras[SWEEP], stored, masks)
-    model, without_mask = recover_sweep(swept, context.out, options, context.progress)
+    model, of_masks = recover_sweep(swept, context.out, options, context.progress)
     lens = None if stored is None else stored.turned(frames.cameras[SWEEP].upright)
     context.measures += sweep_measures(model, lens, side_px, frames.cameras[SWEEP].pixel_aspect)
-    context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
+    context.measures += noted(of_masks, "masks")
     if board is not None:
         _add_board(context.out / "static_poses.json", board)
         context.measures += board_measures(SWEEP, board)
@@ -86,7 +86,7 @@ def recover_sweep(
         options: Threads, size of pictures and time that it may use.
         progress: Told how far it is.
     Returns:
-        The model, and the pictures that have no mask where masks are given.
+        The model, and what is to be known of the masks.
     """
     ingest, sweep = swept.ingest, swept.frames
     used = {f.file.removeprefix("frames/"): f for f in sweep.used if f.file is not None}
@@ -95,14 +95,17 @@ def recover_sweep(
     film = sweep.fps_mean is not None
     turns = {n: sweep.upright if film else by_exif(f.orientation or 1) for n, f in used.items()}
     with tempfile.TemporaryDirectory(dir=out, prefix="masks-") as masks:
-        without = []
+        notes = []
         if swept.masks is not None:
             folder, source = swept.masks
             photos = [] if film else [photo.name for photo in list_pictures(source)]
             called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
             re_turned = {n: frame.re_turned for n, frame in used.items()}
-            count = len(swept.frames.frames) if film else None
+            count = len(sweep.frames) if film else len(photos)
             without = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
+            notes += [f"no mask: {some(without)}"] if without else []
+            if masks_of(folder, called, count).from_1:
+                notes.append(f"numbered from 1 to {count}, so that 1 is that of the first picture")
         model = recover_static_poses(
             ingest / "frames",
             device_groups(sizes, exif, swept.known, sweep.pixel_aspect, turns),
@@ -113,7 +116,7 @@ def recover_sweep(
             places={name: tags.place for name, tags in exif.items()},
             progress=progress,
         )
-    return model, without
+    return model, notes
 
 
 def _size(file: Path) -> tuple[int, int]:

@@ -165,7 +165,7 @@ def test_a_training_camera_that_films_something_else_is_left_out(session: Sessio
     assert list(rig["left_out"]) == ["first"] and list(rig["cameras"]) == list(cameras)
     rows = json.loads((run / "rig" / "health.json").read_text())["rows"]
     assert [row["about"] for row in rows if row["code"] == "camera-left-out"] == ["first"]
-    frames = json.loads((run / "scene" / "scene.json").read_text())["dynamic"]
+    frames = json.loads((run / "scene" / "dynamic" / "transforms.json").read_text())["frames"]
     assert {frame["camera"] for frame in frames} == set(cameras)
 
 
