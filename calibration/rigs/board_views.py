@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse.csgraph import connected_components
 
 from devrf.calibration.boards.board_fit import board_pose
 from devrf.calibration.boards.find import BoardSpec, BoardView
@@ -137,6 +136,8 @@ def spanning_tree(seen: Views) -> list[tuple[int, int]]:
 
 def untied(seen: Views) -> dict[str, str]:
     """Cameras that the board does not tie to the largest group of those that it ties together: name -> why."""
+    from scipy.sparse.csgraph import connected_components
+
     links = seen.links()
     group = connected_components(links >= MIN_SHARED_POINTS, directed=False)[1]
     tied = group == np.bincount(group).argmax()

@@ -1,6 +1,6 @@
 """Which file of a folder belongs to which picture: mattes and masks are called like a photo, or by a number.
 
-A photo's is called like it (`IMG_1.png`, `IMG_1.jpg.png`), or ends with the same number. Else, and of a film, the number
+A photo's is called like it (`IMG_1.png`, `IMG_1.jpg.png`), or ends with the same number. Else, or of a film, the number
 is the picture's position, from 0; from 1 where they end with the number of pictures, as programs write them that take
 films apart.
 """

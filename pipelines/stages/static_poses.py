@@ -2,7 +2,8 @@
 
 import json
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
@@ -15,6 +16,8 @@ from devrf.calibration.sweep.static_poses import (
     SweepOptions,
     recover_static_poses,
 )
+from devrf.capture.bursts import bursts
+from devrf.capture.exif import Exif
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, some
 from devrf.capture.measure import noted
 from devrf.capture.orientation import by_exif
@@ -49,10 +52,11 @@ def run(context: StageContext) -> None:
         masks = folder, source
     options = SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px)
     swept = Swept(ingest, frames.cameras[SWEEP], stored, masks)
-    model, of_masks = recover_sweep(swept, context.out, options, context.progress)
+    model, notes = recover_sweep(swept, context.out, options, context.progress)
     lens = None if stored is None else stored.turned(frames.cameras[SWEEP].upright)
     context.measures += sweep_measures(model, lens, side_px, frames.cameras[SWEEP].pixel_aspect)
-    context.measures += noted(of_masks, "masks")
+    for about, texts in notes.items():
+        context.measures += noted(texts, about)
     if board is not None:
         _add_board(context.out / "static_poses.json", board)
         context.measures += board_measures(SWEEP, board)
@@ -77,7 +81,7 @@ class Swept:
 
 def recover_sweep(
     swept: Swept, out: Path, options: SweepOptions, progress: Progress = no_progress
-) -> tuple[SweepModel, list[str]]:
+) -> tuple[SweepModel, dict[str, list[str]]]:
     """Structure from motion of the pictures that ingest left, with all that their tags say.
 
     Args:
@@ -86,7 +90,7 @@ def recover_sweep(
         options: Threads, size of pictures and time that it may use.
         progress: Told how far it is.
     Returns:
-        The model, and what is to be known of the masks.
+        The model, and what is to be known of masks and bursts, by what it is about.
     """
     ingest, sweep = swept.ingest, swept.frames
     used = {f.file.removeprefix("frames/"): f for f in sweep.used if f.file is not None}
@@ -95,7 +99,7 @@ def recover_sweep(
     film = sweep.fps_mean is not None
     turns = {n: sweep.upright if film else by_exif(f.orientation or 1) for n, f in used.items()}
     with tempfile.TemporaryDirectory(dir=out, prefix="masks-") as masks:
-        notes = []
+        notes: dict[str, list[str]] = {"masks": [], "held-out pictures": []}
         if swept.masks is not None:
             folder, source = swept.masks
             photos = [] if film else [photo.name for photo in list_pictures(source)]
@@ -103,9 +107,9 @@ def recover_sweep(
             re_turned = {n: frame.re_turned for n, frame in used.items()}
             count = len(sweep.frames) if film else len(photos)
             without = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
-            notes += [f"no mask: {some(without)}"] if without else []
+            notes["masks"] += [f"no mask: {some(without)}"] if without else []
             if masks_of(folder, called, count).from_1:
-                notes.append(f"numbered from 1 to {count}, so that 1 is that of the first picture")
+                notes["masks"].append(f"numbered from 1 to {count}, so that 1 is that of the first picture")
         model = recover_static_poses(
             ingest / "frames",
             device_groups(sizes, exif, swept.known, sweep.pixel_aspect, turns),
@@ -116,7 +120,20 @@ def recover_sweep(
             places={name: tags.place for name, tags in exif.items()},
             progress=progress,
         )
+    if not film:  # frames of a film are all near one another
+        model = _with_bursts(model, exif, out / "static_poses.json")
+        doubles = model.report["bursts"]
+        text = f"{len(doubles)} bursts, of {some([f'{b[0]} and {len(b) - 1} more' for b in doubles])}"
+        notes["held-out pictures"] += [f"{text}: each is held out whole or not at all"] if doubles else []
     return model, notes
+
+
+def _with_bursts(model: SweepModel, exif: Mapping[str, Exif], file: Path) -> SweepModel:
+    """The model that knows which photos are near-doubles, in its file too."""
+    found = bursts(model.cameras, [exif[n].taken_s if n in exif else None for n in model.names])
+    report = model.report | {"bursts": [[model.names[k] for k in members] for members in found]}
+    file.write_text(json.dumps(report, indent=1))
+    return replace(model, report=report)
 
 
 def _size(file: Path) -> tuple[int, int]:
