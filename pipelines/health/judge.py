@@ -84,6 +84,13 @@ def warns_at(code: str) -> float:
     return float(bounds[0])
 
 
+def refuses_at(code: str) -> float:
+    """The bound beyond which a code refuses; of codes whose bound stands in the table only."""
+    bounds = entries()[code].high or entries()[code].low
+    assert bounds is not None and bounds[1] is not None
+    return float(bounds[1])
+
+
 def carried(code: str, values: Iterable[float | int]) -> bool:
     """Whether enough cameras are good enough to carry a run, which is then not refused for the poorest one."""
     entry = entries()[code]

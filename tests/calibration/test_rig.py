@@ -16,7 +16,7 @@ from devrf.calibration.rigs.board_route import rig_from_board
 from devrf.calibration.rigs.board_views import TimedView
 from devrf.calibration.rigs.clean_picture import clean_pictures
 from devrf.calibration.rigs.graph import camera_graph
-from devrf.calibration.rigs.joint import adjust_together, disagreement
+from devrf.calibration.rigs.joint import adjust_together, disagreement, rig_in_world
 from devrf.calibration.rigs.registration import camera_of, register
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, read_rig, write_rig
 from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances
@@ -314,6 +314,23 @@ def test_a_camera_that_the_board_does_not_tie_is_left_out_where_others_are_enoug
     assert list(found.cameras) == rest
     one, other = (c[rest[1]].moved(np.linalg.inv(c[rest[0]].world_from_cam)) for c in (truth, found.cameras))
     assert np.linalg.norm(one.centre - other.centre) < 0.02 * np.linalg.norm(one.centre)
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+def test_a_camera_that_was_moved_since_it_was_given_is_told_by_the_others(count):
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = 2.5 * cv2.Rodrigues(np.array([0.2, 0.5, -0.3]))[0], [3.0, -1.0, 0.4]
+    given = {f"cam{n}": camera for n, camera in enumerate(ring(count, radius=2.6, height=0.8))}
+    world = {n: camera.moved(turned) for n, camera in given.items()}
+    shifted = np.eye(4)
+    shifted[:3, 3] = [1.0, 0.7, 0.4]
+    world["cam1"] = world["cam1"].moved(shifted)
+    stood = rig_in_world(given, world, most=0.1)
+    if count == 3:  # nobody knows which
+        assert len(stood.fitted) == 3 and max(stood.off.values()) > 0.1
+        return
+    assert set(stood.fitted) == given.keys() - {"cam1"} and stood.off["cam1"] > 1
+    np.testing.assert_allclose(stood.world_from_rig, turned, atol=1e-9)
 
 
 @pytest.mark.full

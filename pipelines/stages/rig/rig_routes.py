@@ -7,17 +7,17 @@ import numpy as np
 from devrf.calibration.boards.find import find_board
 from devrf.calibration.rigs.bump import find_bump
 from devrf.calibration.rigs.graph import Link, camera_graph
-from devrf.calibration.rigs.joint import adjust_together, disagreement, world_from_rig
+from devrf.calibration.rigs.joint import adjust_together, disagreement, rig_in_world, world_from_rig
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale
 from devrf.calibration.rigs.rig_cameras import rig_camera
 from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances
 from devrf.calibration.rigs.sweep_route import SweepRig
 from devrf.calibration.sweep.static_poses import SweepModel
-from devrf.calibration.truth import similarity
 from devrf.capture.frames import some
 from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.system.errors import CalibrationError, HealthError, InputError
 from devrf.capture.system.progress import Progress, no_progress, part
+from devrf.pipelines.health.judge import refuses_at
 from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.health.rig_rows import (
     bump_measures,
@@ -227,22 +227,20 @@ def _given_into_sweep(job: RigJob, rig: Rig) -> Rig:
             "calibration.rig.given: fewer than three cameras do not tie a given rig to the sweep; "
             "set calibration.rig.method to sweep",
         )
-    names = list(found)
     lost = [n for n in job.trained if n not in found]
-    job.measures += noted(
-        [f"{some(lost)} not found in the sweep, and placed as given" for _ in lost[:1]], "given"
-    )
-    sweep_from_given = similarity(
-        np.array([rig.cameras[n].camera.centre for n in names]),
-        np.array([found[n].camera.centre for n in names]),
-    )
-    unit = float(np.cbrt(np.linalg.det(sweep_from_given[:3, :3])))
-    metres = np.diag([1 / unit, 1 / unit, 1 / unit, 1.0])
-    world_from_given = metres @ sweep_from_given
+    if lost:
+        job.measures += noted([f"{some(lost)} not found in the sweep, and placed as given"], "given")
+    percent = 100 / max(float(np.median([c.details["median_distance"] for c in found.values()])), 1e-9)
+    places = ({n: rig.cameras[n].camera for n in found}, {n: c.camera for n, c in found.items()})
+    stood = rig_in_world(*places, refuses_at("rig-given-moved") / percent)
+    unit = float(np.cbrt(np.linalg.det(stood.world_from_rig[:3, :3])))
+    world_from_given = np.diag([1 / unit, 1 / unit, 1 / unit, 1.0]) @ stood.world_from_rig
     cameras = {n: replace(c, camera=c.camera.moved(world_from_given)) for n, c in rig.cameras.items()}
-    miss = max(float(np.linalg.norm(cameras[n].camera.centre - found[n].camera.centre / unit)) for n in names)
-    distance = float(np.median([c.details["median_distance"] for c in found.values()])) / unit
-    job.measures.append(Measure("rig-given-moved", 100 * miss / max(distance, 1e-9)))
+    job.measures.append(Measure("rig-given-moved", percent * max(stood.off[n] for n in stood.fitted)))
+    for name in found.keys() - set(stood.fitted):
+        cameras[name] = _scaled(found[name], 1 / unit)
+        off = percent * stood.off[name]
+        job.measures.append(Measure("rig-given-moved", off, name, "one", refuses=False))
     return Rig(cameras, replace(rig.scale, factor=1 / unit), "given")
 
 
