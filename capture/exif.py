@@ -4,8 +4,10 @@ Focal lengths are in pixels of the upright picture. Places are WGS 84: degrees n
 sea level.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
@@ -42,12 +44,14 @@ class Exif:
         focal_px: Focal length, pixels of the upright picture, or None.
         place: Where it was taken, or None.
         exposure_stops: Light by the settings (`exposure_stops`), or None.
+        taken_s: When it was taken, seconds since 1970 by the device's own clock, or None.
     """
 
     device: str = ""
     focal_px: float | None = None
     place: Place | None = None
     exposure_stops: float | None = None
+    taken_s: float | None = None
 
 
 def read_exif(image: Image.Image) -> Exif:
@@ -55,7 +59,8 @@ def read_exif(image: Image.Image) -> Exif:
     exif = tags_of(image)
     words = [str(exif.get(tag, "")).strip(" \0") for tag in (ExifTags.Base.Make, ExifTags.Base.Model)]
     width, height = image.size
-    return Exif(" ".join(filter(None, words)), _focal_px(exif, width, height), _place(exif), _exposure(exif))
+    device, focal_px = " ".join(filter(None, words)), _focal_px(exif, width, height)
+    return Exif(device, focal_px, _place(exif), _exposure(exif), _taken_s(exif))
 
 
 def tags_of(image: Image.Image) -> Image.Exif:
@@ -131,6 +136,18 @@ def _exposure(exif: Image.Exif) -> float | None:
         _positive(tags.get(base.ExposureTime)),
         _positive(speed[0] if isinstance(speed, tuple) and speed else speed),
         _positive(tags.get(base.FNumber)),
+    )
+
+
+def _taken_s(exif: Image.Exif) -> float | None:
+    tags, base = exif.get_ifd(ExifTags.IFD.Exif), ExifTags.Base
+    try:
+        whole = datetime.strptime(str(tags.get(base.DateTimeOriginal, "")).strip(" \0"), "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        return None
+    digits = str(tags.get(base.SubsecTimeOriginal, "")).strip(" \0")
+    return whole.replace(tzinfo=timezone.utc).timestamp() + (
+        float(f"0.{digits}") if re.fullmatch(r"[0-9]{1,9}", digits) else 0.0
     )
 
 

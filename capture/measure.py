@@ -6,6 +6,7 @@ from math import inf, isnan
 from typing import Any, Literal
 
 Verdict = Literal["ok", "warn", "fail"]
+ENOUGH_CAMERAS = 2  # that are trained on: with these a run goes on without others, as with two from the first
 
 
 @dataclass(frozen=True)

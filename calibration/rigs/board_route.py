@@ -25,8 +25,10 @@ from devrf.calibration.rigs.board_views import (
     spanning_tree,
     start_boards,
     start_poses,
+    untied,
 )
 from devrf.capture.camera import Camera
+from devrf.capture.measure import ENOUGH_CAMERAS
 from devrf.capture.system.progress import Progress, no_progress
 
 OUTLIER_QUANTILE, OUTLIER_FACTOR = 0.75, 5.0
@@ -54,6 +56,7 @@ class BoardRig:
         dropped: (camera, frame) of the views that did not fit.
         gap_ms: Median and largest time between views that count as one instant, by the given times.
         shallow: Cameras that saw the board at one distance only, and so keep to their calibration.
+        left_out: Camera that the board does not tie to the others -> why.
     """
 
     cameras: dict[str, Camera]
@@ -63,6 +66,7 @@ class BoardRig:
     dropped: tuple[tuple[str, int], ...]
     gap_ms: tuple[float, float]
     shallow: tuple[str, ...]
+    left_out: dict[str, str]
 
     @property
     def delay_s(self) -> dict[str, float]:
@@ -101,9 +105,12 @@ def rig_from_board(
         known: Camera -> what is known of its intrinsics apart from these views (`std` says how well).
         progress: Called per round.
     Raises:
-        HealthError: Cameras that share no view of the board with the others, by name.
+        HealthError: The board ties too few cameras to go on without the others, which are named.
     """
     seen = gather(views, spec, start)
+    lost = untied(seen)
+    if lost and len(views) - len(lost) >= ENOUGH_CAMERAS:
+        seen = gather({n: own for n, own in views.items() if n not in lost}, spec, start)
     gap_ms = _gaps_ms(seen)
     poses = start_poses(seen, spanning_tree(seen))
     problem = _problem(seen, spec, poses, [start[n] for n in seen.names], [known[n] for n in seen.names])
@@ -123,6 +130,7 @@ def rig_from_board(
         dropped=fit.dropped,
         gap_ms=gap_ms,
         shallow=tuple(n for n, firm in zip(seen.names, problem.firm_prior, strict=True) if firm),
+        left_out=lost,
     )
 
 

@@ -17,6 +17,7 @@ from devrf.calibration.intrinsics import Intrinsics
 from devrf.capture.system.errors import HealthError
 
 MIN_SHARED_POINTS = 50  # of a link between two cameras that is used (caliscope: fewer fail, under 200 warn)
+HOLD = "hold the board where both see it"
 
 
 @dataclass(frozen=True)
@@ -125,14 +126,34 @@ def spanning_tree(seen: Views) -> list[tuple[int, int]]:
         lost = [c for c in range(len(names)) if c not in reached]
         best, known, new = max((int(links[a, b]), a, b) for a in reached for b in lost)
         if best < MIN_SHARED_POINTS:
-            apart, rest = (", ".join(names[c] for c in some) for some in (lost, sorted(reached)))
-            wrong = f"{apart} share{'s' if len(lost) == 1 else ''} no view of the board with {rest}"
-            need = f"{best} corners seen at once, need {MIN_SHARED_POINTS} (200 are good)"
-            remedy = "hold the board where both see it, put a camera between them, use the sweep, or go on without it"
-            raise HealthError("rig-unlinked-camera", f"{wrong}: {need}; {remedy}")
+            apart, rest = ([names[c] for c in some] for some in (lost, sorted(reached)))
+            remedy = f"{HOLD}, put a camera between them, use the sweep, or go on without it"
+            raise HealthError("rig-unlinked-camera", f"{_unlinked(apart, rest, best)}; {remedy}")
         tree.append((known, new))
         reached.add(new)
     return tree
+
+
+def untied(seen: Views) -> dict[str, str]:
+    """Cameras that the board does not tie to the largest group of those that it ties together: name -> why."""
+    from scipy.sparse.csgraph import connected_components
+
+    links = seen.links()
+    group = connected_components(links >= MIN_SHARED_POINTS, directed=False)[1]
+    tied = group == np.bincount(group).argmax()
+    rest = [name for name, in_it in zip(seen.names, tied, strict=True) if in_it]
+    return {
+        seen.names[
+            c
+        ]: f"{_unlinked([seen.names[c]], rest, int(links[c, tied].max()))}; {HOLD}, or use the sweep"
+        for c in np.flatnonzero(~tied)
+    }
+
+
+def _unlinked(apart: list[str], rest: list[str], shared: int) -> str:
+    verb = "shares" if len(apart) == 1 else "share"
+    need = f"{shared} corners seen at once, need {MIN_SHARED_POINTS} (200 are good)"
+    return f"{', '.join(apart)} {verb} no view of the board with {', '.join(rest)}: {need}"
 
 
 def start_poses(seen: Views, tree: list[tuple[int, int]]) -> Float[np.ndarray, "cameras 3 4"]:

@@ -83,7 +83,7 @@ def cross_check(
         rig = rig_from_board(fit, spec, start, known)
     except HealthError:
         return None
-    return check_rig(rig.cameras, rig.delay_s, held, spec)
+    return check_rig(rig.cameras, rig.delay_s, {n: held[n] for n in rig.cameras}, spec)
 
 
 def check_rig(

@@ -6,7 +6,7 @@ the sweep's unit move, under one robust loss, each kind of observation weighed b
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -15,8 +15,10 @@ from devrf.calibration.bundle.adjust import Solution, adjust
 from devrf.calibration.bundle.problem import Problem, Timing
 from devrf.calibration.rigs.board_motion import still
 from devrf.calibration.rigs.board_route import MIN_NOISE_PX, BoardRig
-from devrf.calibration.truth import rotation_angle_deg
+from devrf.calibration.truth import rotation_angle_deg, similarity
 from devrf.capture.camera import Camera
+
+TELLING = 3  # cameras whose places fix a rig's in another world, and show whether they fit
 
 
 def world_from_rig(world: Mapping[str, Camera], rig: Mapping[str, Camera]) -> Float[np.ndarray, "4 4"]:
@@ -36,6 +38,41 @@ def world_from_rig(world: Mapping[str, Camera], rig: Mapping[str, Camera]) -> Fl
     out[:3, :3] = scale * R
     out[:3, 3] = (a - scale * b @ R.T).mean(0)
     return out
+
+
+@dataclass(frozen=True)
+class Stood:
+    """A rig in another world.
+
+    Attributes:
+        world_from_rig: Similarity [4, 4].
+        fitted: Cameras that it was fitted to.
+        off: Camera -> its distance from where the world has it, units of the world.
+    """
+
+    world_from_rig: Float[np.ndarray, "4 4"]
+    fitted: tuple[str, ...]
+    off: dict[str, float]
+
+
+def rig_in_world(rig: Mapping[str, Camera], world: Mapping[str, Camera], most: float) -> Stood:
+    """Where a rig stands by the places of its cameras, without those that were moved since it was calibrated.
+
+    While a camera is off by more than `most` and `TELLING` others are left, the one without which these fit best goes.
+    """
+    stood, names = _stood(rig, world, list(rig)), list(rig)
+    while max(stood.off[n] for n in names) > most and len(names) > TELLING:
+        tries = [_stood(rig, world, [n for n in names if n != moved]) for moved in names]
+        stood = min(tries, key=lambda one: max(one.off[n] for n in one.fitted))
+        names = list(stood.fitted)
+    return stood
+
+
+def _stood(rig: Mapping[str, Camera], world: Mapping[str, Camera], names: list[str]) -> Stood:
+    a, b = (np.array([cameras[n].centre for n in names]) for cameras in (rig, world))
+    found = similarity(a, b)
+    off = {n: float(np.linalg.norm(c.moved(found).centre - world[n].centre)) for n, c in rig.items()}
+    return Stood(found, tuple(names), off)
 
 
 def disagreement(world: Mapping[str, Camera], rig: Mapping[str, Camera]) -> dict[str, tuple[float, float]]:

@@ -70,7 +70,7 @@ class Rig:
         scale: How long a unit is.
         route: What gave the poses: `sweep`, `board` or `given`.
         graph: Which cameras that are trained on are tied together by what.
-        left_out: Test camera that could not be placed -> why.
+        left_out: Camera that could not be placed -> why.
     """
 
     cameras: dict[str, RigCamera]

@@ -23,6 +23,7 @@ from devrf.calibration.rigs.rig import RigCamera
 from devrf.calibration.rigs.rig_cameras import rig_camera
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.static_poses import SweepModel, feature_options
+from devrf.capture.measure import ENOUGH_CAMERAS
 from devrf.capture.system.arrays import read_npz
 from devrf.capture.system.errors import HealthError
 from devrf.capture.system.progress import Progress, no_progress
@@ -30,6 +31,9 @@ from devrf.capture.system.progress import Progress, no_progress
 MIN_INLIERS = 30  # COLMAP's own minimum for a pose
 PLENTY_INLIERS = 300  # another picture of the same camera would add nothing
 INLIER_PX = 4.0
+FILM_MORE = (
+    "Add sweep pictures from near such a camera, looking the same way, and check that it films the same place"
+)
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,7 @@ class SweepRig:
         solution: The adjusted problem; the sweep's cameras come first.
         support: Name -> its own observations that fit; like: name -> calibration or guess it started from.
         registrations: Name -> how it was registered.
+        left_out: Name of a camera that shares no view with the sweep -> why.
     """
 
     cameras: dict[str, RigCamera]
@@ -79,6 +84,7 @@ class SweepRig:
     support: dict[str, Int[np.ndarray, " n"]]
     like: dict[str, Intrinsics]
     registrations: dict[str, Registration]
+    left_out: dict[str, str]
 
 
 def rig_from_sweep(
@@ -99,29 +105,34 @@ def rig_from_sweep(
         threads: Pictures whose features are found at once; None: one per core.
         standing: Cameras that are placed already: they stay, as the sweep does, and what they see counts.
     Raises:
-        HealthError: Cameras that share no view with the sweep, with their inlier counts.
+        HealthError: Too few cameras share a view with the sweep to go on without the others, which are named with their
+            inlier counts.
     """
     features = _features(inputs, out, threads)
     progress(0.2, "features of the fixed cameras")
     found: dict[str, tuple[Registration, str]] = {}
-    refused = []
+    lost: dict[str, str] = {}
     for n, item in enumerate(inputs):
         registration, label, most = _best_registration(model, item, features)
         if registration is None or most < MIN_INLIERS:
-            refused.append(
-                f"{item.name} shares no view with the sweep: {most} inliers, need {MIN_INLIERS} "
-                "(100 are good)"
-            )
+            lost[item.name] = _unlinked(item.name, most)
         else:
             found[item.name] = (registration, label)
         progress(0.2 + 0.6 * (n + 1) / len(inputs), f"{item.name}: {most} inliers")
-    if refused:
-        remedy = (
-            "Add sweep pictures from near these cameras, looking the same way, and check that they film the same "
-            "place; or go on without them: take them out of capture.cameras"
-        )
-        raise HealthError("rig-unlinked-camera", f"{'; '.join(refused)}. {remedy}")
-    return _refined(model if standing is None else _with_standing(model, standing), inputs, found)
+    if len(found) < min(ENOUGH_CAMERAS, len(inputs)):
+        remedy = f"{FILM_MORE}; or go on without: take cameras out of capture.cameras"
+        raise HealthError("rig-unlinked-camera", f"{'; '.join(lost.values())}. {remedy}")
+    around = model if standing is None else _with_standing(model, standing)
+    rig = _refined(around, inputs, found)
+    weak = {name: len(own) for name, own in rig.support.items() if len(own) < MIN_INLIERS}
+    if weak and len(found) - len(weak) >= ENOUGH_CAMERAS:
+        lost |= {name: _unlinked(name, most) for name, most in weak.items()}
+        rig = _refined(around, inputs, {name: of for name, of in found.items() if name not in weak})
+    return replace(rig, left_out={name: f"{why}. {FILM_MORE}" for name, why in lost.items()})
+
+
+def _unlinked(name: str, inliers: int) -> str:
+    return f"{name} shares no view with the sweep: {inliers} inliers, need {MIN_INLIERS} (100 are good)"
 
 
 def _with_standing(model: SweepModel, rig: SweepRig) -> SweepModel:
@@ -188,6 +199,7 @@ def _best_registration(
 def _refined(
     model: SweepModel, inputs: list[FixedCameraInput], found: dict[str, tuple[Registration, str]]
 ) -> SweepRig:
+    inputs = [item for item in inputs if item.name in found]
     problem, first_own = _problem(model, inputs, found)
     solution = adjust(problem)
     index = {item.name: len(model.cameras) + n for n, item in enumerate(inputs)}
@@ -208,7 +220,8 @@ def _refined(
             solution, index[name], item.like, item.intrinsics_source, support[name], details
         )
     like = {item.name: item.like for item in inputs}
-    return SweepRig(cameras, solution, index, support, like, {name: found[name][0] for name in index})
+    registrations = {name: found[name][0] for name in index}
+    return SweepRig(cameras, solution, index, support, like, registrations, {})
 
 
 def _problem(

@@ -1,8 +1,7 @@
 """Masks of what moves or reflects in a sweep: black is ignored (COLMAP's convention).
 
 A picture's mask has its size and its name plus `.png` (`IMG_1.jpg.png`), or its name with `.png` instead
-(`IMG_1.png`); a film's frame is called by its number (`000012.png` or `12.png`), from 0; from 1 where the masks are
-numbered from 1 to as many as there are frames, as programs write them that take films apart.
+(`IMG_1.png`); a film's frame is called by its number (`000012.png` or `12.png`; `capture/mattes/whose.py`).
 """
 
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from devrf.capture.mattes.whose import Whose, files_of
 from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.system.errors import InputError
@@ -18,6 +18,14 @@ from devrf.capture.system.errors import InputError
 GROWN = 0.01  # of the longer side: contact shadows, and the width of the filter that finds a feature
 BLACK_BELOW = 128  # of 255; masks saved as JPEG or resized are not quite black and white
 LISTED = 4
+
+
+def masks_of(folder: Path, pictures: Mapping[str, str], count: int | None = None) -> Whose:
+    """Which mask is whose, by the position of each picture; arguments and errors as of `prepare_masks`."""
+    called = {
+        int(Path(n).stem): None if Path(n).name == original else original for n, original in pictures.items()
+    }
+    return files_of(sorted(folder.glob("*.png")), called, count)
 
 
 def prepare_masks(
@@ -36,22 +44,20 @@ def prepare_masks(
         sizes: (width, height) of each picture.
         out: Folder for COLMAP's masks.
         turns: From each picture as its own tag makes it upright to the one that is used; None: they are the same.
-        count: Frames of a film, used or not; None of photos.
+        count: Frames or photos, used or not; None: not known.
     Returns:
         Pictures without a mask; all of them is used.
     Raises:
         InputError: No folder, no mask at all, a mask of another size, or one that ignores everything.
+        CaptureError: They are called like the photos, but one number off.
     """
     if not folder.is_dir():
         text = f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml"
         raise InputError("folder-missing", text)
     without, problems = [], []
-    by_number = {int(f.stem): f for f in sorted(folder.glob("*.png")) if f.stem.isdecimal()}
-    from_1 = bool(by_number) and (min(by_number), max(by_number)) == (1, count)
+    whose = masks_of(folder, pictures, count)
     for name, original in pictures.items():
-        file = None if from_1 else _find(folder, name, original)
-        if file is None and count is not None:
-            file = by_number.get(int(Path(name).stem) + from_1)
+        file = whose.files.get(int(Path(name).stem))
         if file is None:
             without.append(name)
             continue
@@ -83,10 +89,3 @@ def prepare_masks(
         wrong = f"{folder}: holds no mask of the sweep's {len(pictures)} pictures"
         raise InputError("mask-missing", f"{wrong}; expected names such as {example}.png")
     return without
-
-
-def _find(folder: Path, name: str, original: str) -> Path | None:
-    stems = (original, Path(original).stem, Path(name).stem)
-    names = [f"{stem}.png" for stem in stems]
-    names += [f"{int(stem)}.png" for stem in stems if stem.isdigit()]
-    return next((folder / n for n in names if (folder / n).is_file()), None)

@@ -23,6 +23,7 @@ from devrf.calibration.sweep.pairs import plan_pairs
 from devrf.calibration.sweep.sfm_output import camera_at
 from devrf.calibration.sweep.sfm_process import run_job
 from devrf.calibration.sweep.two_views import against_model, kinds_report, read_two_views, torn_apart
+from devrf.capture.bursts import held_out
 from devrf.capture.camera import Camera
 from devrf.capture.exif import Place
 from devrf.capture.system.arrays import read_npz
@@ -115,8 +116,9 @@ class SweepModel:
     report: dict[str, Any]
 
     def held_out(self, every: int) -> Bool[np.ndarray, " N"]:
-        """Which pictures are kept out of everything but structure from motion: every n-th one."""
-        return np.arange(len(self.names)) % every == 0
+        """Which pictures are kept out of everything but structure from motion: every n-th one, bursts whole."""
+        number = {name: n for n, name in enumerate(self.names)}
+        return held_out(len(number), every, [[number[n] for n in of] for of in self.report.get("bursts", ())])
 
     def without_held_out(self, every: int) -> "SweepModel":
         """The model without these pictures, what they show, and points that fewer than two others show."""

@@ -124,7 +124,7 @@ def read_dataset(
     static = found.static
     found = replace(
         found,
-        static=static if found.has_split else hold_out(static, holdout_every, found.keep),
+        static=static if found.has_split else hold_out(static, holdout_every, found.keep, notes),
         dynamic=every_nth_time(found.dynamic, frame_stride),
     )
     try:

@@ -1,11 +1,10 @@
 """Mattes that people bring: a folder per camera, `static` for the sweep, a file per picture.
 
 A matte is called like its picture (`IMG_1.png` or `IMG_1.jpg.png` for a photo) or by the number of the frame in
-its clip, counted from 0 (`12.png`, `000012.png`, `frame_000012.png`). White is the subject; grey is partly
+its clip (`12.png`, `000012.png`, `frame_000012.png`; `whose.py`). White is the subject; grey is partly
 transparent; of a file with transparency its opacity counts. Upright, of the picture's size or shape.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from devrf.capture.frames import some
+from devrf.capture.mattes.whose import Whose, files_of
 from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, read_pixels
 from devrf.capture.system.errors import CaptureError, InputError
@@ -54,41 +54,35 @@ def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tu
     return found
 
 
-def find_mattes(folder: Path, names: Mapping[int, str | None]) -> list[Path]:
+def find_mattes(folder: Path, names: Mapping[int, str | None], count: int | None = None) -> Whose:
     """The matte file of every picture.
 
     Args:
         folder: Of the camera.
         names: Number of each used frame -> what the photo was called, or None for a film.
+        count: Frames or photos of the camera, used or not; None: not known.
     Raises:
-        CaptureError: Some have none.
+        CaptureError: Some have none, or it cannot be told which is whose.
     """
     files = (
         [f for f in sorted(folder.iterdir()) if f.suffix.lower() in PICTURE_SUFFIXES]
         if folder.is_dir()
         else []
     )
-    by_name = {f.stem.lower(): f for f in files}
-    by_number = {int(m[1]): f for f in files if (m := re.search(r"(\d+)$", f.stem))}
+    found = files_of(files, names, count)
     films = {index for index, name in names.items() if name is None}
-    if films and 0 not in films and min(by_number, default=0) == 1 and films < by_number.keys():
+    may_be_from_1 = not found.from_1 and min(found.numbers, default=0) == 1
+    if films and 0 not in films and may_be_from_1 and films < found.numbers:
         wrong = (
             f"{folder}: its files are numbered from 1 and are more than the camera's {len(films)} pictures"
         )
         remedy = "frames are counted from 0: rename them, or leave out those of frames that are not used"
         raise CaptureError("mattes-misnumbered", f"{wrong}; {remedy}")
-    found, missing = [], []
-    for index, name in names.items():
-        if name is None:
-            file = by_number.get(index)
-        else:
-            file = by_name.get(name.lower()) or by_name.get(Path(name).stem.lower())
-        found.append(file)
-        if file is None:
-            missing.append(f"{index:06d}.png" if name is None else f"{Path(name).stem}.png")
+    missing = [index for index in names if index not in found.files]
     if missing:
-        raise _missing(folder, missing, len(names), by_number, set(names))
-    return [file for file in found if file is not None]
+        called = [f"{n:06d}.png" if (name := names[n]) is None else f"{Path(name).stem}.png" for n in missing]
+        raise _missing(folder, called, len(names), may_be_from_1 and 0 in names)
+    return found
 
 
 def read_given(
@@ -144,11 +138,9 @@ def _opacity(file: Path) -> UInt8[np.ndarray, "h w"]:
     return pixels[..., :3].max(axis=2)
 
 
-def _missing(
-    folder: Path, missing: list[str], count: int, by_number: Mapping[int, Path], wanted: set[int]
-) -> CaptureError:
+def _missing(folder: Path, missing: list[str], count: int, from_1: bool) -> CaptureError:
     text = f"{folder}: no matte of {len(missing)} of the camera's {count} pictures: {some(missing)}; "
-    if by_number and 0 in wanted and min(by_number) == 1:
+    if from_1:
         text += "its files are numbered from 1, frames are counted from 0: rename them"
         return CaptureError("mattes-misnumbered", text)
     remedy = "add them (black where no subject is seen), or leave the whole folder out"

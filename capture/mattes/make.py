@@ -29,6 +29,7 @@ class MatteClip:
         names: Number of each frame, in the same order -> what the photo was called; None for a film.
         small_sizes: (width, height) of each picture's `MatteFacts.small`.
         turns: Of each picture, from what its own tag makes upright to what is used; empty: none.
+        count: Frames or photos of the camera, used or not; None: not known.
     """
 
     camera: str
@@ -36,6 +37,7 @@ class MatteClip:
     names: Mapping[int, str | None]
     small_sizes: tuple[tuple[int, int], ...]
     turns: tuple[Upright, ...] = ()
+    count: int | None = None
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class CameraMattes:
         files: A matte per picture.
         facts: What each says about itself.
         inverted: Whether given mattes were found to show the subject black.
+        from_1: Whether given mattes count the camera's pictures from 1.
         key_rgb: The screen's colour, 0 to 255.
         doubtful_key: Whether that colour was found, not named, and is neither a green nor a blue screen's.
     """
@@ -53,6 +56,7 @@ class CameraMattes:
     files: tuple[Path, ...]
     facts: tuple[MatteFacts, ...]
     inverted: bool = False
+    from_1: bool = False
     key_rgb: tuple[float, float, float] | None = None
     doubtful_key: bool = False
 
@@ -61,7 +65,8 @@ def given_mattes(
     clip: MatteClip, folder: Path, inverted: bool | None, out: Path, progress: Progress = no_progress
 ) -> CameraMattes:
     """Mattes that people bring, out of the camera's folder; `inverted` None finds out."""
-    found = find_mattes(folder, clip.names)
+    whose = find_mattes(folder, clip.names, clip.count)
+    found = [whose.files[index] for index in clip.names]
     swapped = is_inverted(found) if inverted is None else inverted
 
     def source(n: int, picture: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w"]:
@@ -69,7 +74,7 @@ def given_mattes(
         return read_given(found[n], picture.shape[1], picture.shape[0], swapped, turn)
 
     files, facts = _write(clip, source, out, progress)
-    return CameraMattes(files, facts, inverted=swapped and inverted is None)
+    return CameraMattes(files, facts, inverted=swapped and inverted is None, from_1=whose.from_1)
 
 
 def chroma_mattes(

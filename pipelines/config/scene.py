@@ -377,7 +377,7 @@ class EvaluateConfig(_Section):
     """What the result is compared with."""
 
     holdout_every: int = Field(default=8, ge=2, le=10_000)
-    """Every n-th sweep picture is held out of training and used as a test view."""
+    """Every n-th sweep picture is held out of training and used as a test view; photos of one burst count as one."""
     lpips_weights: PathText | None = None
     """Folder of LPIPS weights; or `download`, which gets torchvision's."""
     truth: PathText | None = None

@@ -5,22 +5,30 @@ from collections.abc import Iterator
 from devrf.calibration.boards.calibrate import BoardCalibration
 from devrf.capture.frames import some
 from devrf.capture.measure import Measure
-from devrf.pipelines.health.judge import warns_at
+from devrf.pipelines.health.judge import judge, warns_at
 
 MISREAD = 10.0  # times the median error: such a view was not a bad one, but misread
 BOW_SHARE = 0.003  # of the board's longer side: 1 mm of 33 cm, which moves the focal length by some tenths of a percent
 MOST_CORNERS = 2  # of a picture, that the board may never have shown
 
 
+def fits(board: BoardCalibration) -> bool:
+    """Whether a board's calibration is better than none."""
+    return judge([Measure("board-error", board.rms_px)])[0].verdict != "fail"
+
+
 def board_measures(name: str, board: BoardCalibration) -> Iterator[Measure]:
-    """What calibrates `name`: the board, how it was held, and how well it fits."""
+    """What calibrates `name`: the board, how it was held, and how well it fits; else it is not used, which is said."""
     wrong = ", ".join(f"{key}: {value}" for key, value in board.board.corrections)
     if wrong:
         yield Measure("board-corrected", board.board.words, name, facts={"wrong": wrong})
     dropped = f" Dropped views: {some(list(board.dropped))}." if board.dropped else ""
     std = board.intrinsics.std
     doubt = "unknown" if std is None else f"+- {max(std[2], std[3]):.1f} px"
-    yield Measure("board-error", board.rms_px, name, facts={"dropped": dropped})
+    unused = "" if fits(board) else " It is not used: other pictures have to tell of the lens."
+    yield Measure(
+        "board-error", board.rms_px, name, facts={"dropped": f"{dropped}{unused}"}, refuses=not unused
+    )
     yield Measure("board-views", board.views, name, facts={"doubt": doubt, "dropped": dropped})
     yield from _left_out(name, board)
     yield Measure("board-tilt", board.evidence.tilt_sectors, name)

@@ -14,7 +14,7 @@ BY_TRACKING = (
 )
 
 
-def confidence_measure(name: str, clock: Clock, why: str, hope: str = "") -> Measure:
+def confidence_measure(name: str, clock: Clock, why: str, hope: str = "", refuses: bool = True) -> Measure:
     """How sure the worst clock is.
 
     Args:
@@ -22,11 +22,12 @@ def confidence_measure(name: str, clock: Clock, why: str, hope: str = "") -> Mea
         clock: The clock.
         why: What is known of the reason, in words; empty: the clock's own basis.
         hope: What can still make it better, a sentence; with none a clock that is not known is refused.
+        refuses: Whether it is refused; not where enough other cameras have clocks.
     """
     leave = f"; or go on without {name}: take it out of capture.cameras"
     facts = {"reason": why or clock.basis, "hope": hope, "leave": leave}
     fail = None if hope else REFUSED_BELOW
-    return Measure("clock-unknown", clock.confidence, name, facts=facts, fail=fail)
+    return Measure("clock-unknown", clock.confidence, name, facts=facts, fail=fail, refuses=refuses)
 
 
 def frame_ms(camera: CameraFrames) -> float:

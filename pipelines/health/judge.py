@@ -10,10 +10,9 @@ from typing import Any
 
 import yaml
 
-from devrf.capture.measure import Measure, Verdict
+from devrf.capture.measure import ENOUGH_CAMERAS, Measure, Verdict
 
 log = logging.getLogger(__name__)
-ENOUGH = 2  # cameras
 TABLE = Path(__file__).with_name("table.yaml")
 Bounds = Sequence[float | int | None]  # from where on it warns, and fails
 
@@ -85,12 +84,19 @@ def warns_at(code: str) -> float:
     return float(bounds[0])
 
 
-def carried(code: str, values: Iterable[float]) -> bool:
+def refuses_at(code: str) -> float:
+    """The bound beyond which a code refuses; of codes whose bound stands in the table only."""
+    bounds = entries()[code].high or entries()[code].low
+    assert bounds is not None and bounds[1] is not None
+    return float(bounds[1])
+
+
+def carried(code: str, values: Iterable[float | int]) -> bool:
     """Whether enough cameras are good enough to carry a run, which is then not refused for the poorest one."""
     entry = entries()[code]
     warn, fail = entry.high or entry.low or (None, None)
     sign = 1.0 if entry.high else -1.0
-    return sum(_judged(value, warn, fail, sign)[1] != "fail" for value in values) >= ENOUGH
+    return sum(_judged(value, warn, fail, sign)[1] != "fail" for value in values) >= ENOUGH_CAMERAS
 
 
 def judge(measures: Iterable[Measure]) -> list[HealthRow]:

@@ -132,8 +132,9 @@ def _fault(s: Seen) -> str | None:
     if s.look.black:
         return "black: a lens cap, or no light; film again"
     if s.look.projection is not None:
-        (row,) = judge(projection_faults(s.look.projection, s.look.path.name))
-        return f"{row.value}. {row.remedy}"
+        source = s.look.path.name
+        (row,) = judge(projection_faults(s.look.projection, source))
+        return f"{row.value}. {row.remedy.removeprefix(f'{source}: ')}"
     if s.look.is_clip and s.look.count < 2:
         return "a single picture; expected a clip"
     few = judge([Measure("sweep-few-pictures", s.look.count)])[0].verdict == "fail"

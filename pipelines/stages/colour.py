@@ -44,7 +44,7 @@ class _Job:
         self.frames = FrameSet.read(self.ingest)
         rig = context.run_dir / "rig" / "rig.json"
         self.rig = read_rig(rig) if self.frames.moving else Rig({}, ARBITRARY)
-        self.trained = list(self.frames.trained)
+        self.trained = [name for name in self.frames.trained if name in self.rig.cameras]
         self.test_cameras = {name for name in self.frames.tests if name in self.rig.cameras}
         poses = context.run_dir / "static_poses"
         in_sweep = (poses / "static_poses.json").is_file() and self.rig.route != "board"
@@ -68,7 +68,8 @@ class _Job:
     def _before_matching(self) -> Colours:
         """Unsteady light, as ingest measured it."""
         out, cameras = self.context.out, {}
-        for name in [*([SWEEP] if SWEEP in self.frames.cameras else []), *self.frames.moving]:
+        placed = [name for name in self.frames.moving if name in self.rig.cameras]
+        for name in [*([SWEEP] if SWEEP in self.frames.cameras else []), *placed]:
             camera = CameraColour("reference" if name == self.reference else "none")
             light = self.ingest / "light" / f"{name}.npy"
             if light.is_file() and name not in self.frames.tests:

@@ -139,8 +139,10 @@ def _sweep(sweep: CameraFrames) -> Iterator[Measure]:
 
 
 def _filmed(cameras: dict[str, CameraFrames]) -> Iterator[Measure]:
-    fewest = min(cameras, key=lambda name: len(cameras[name].used))
-    yield Measure("clip-short", len(cameras[fewest].used), fewest, facts={"source": cameras[fewest].source})
+    counts = {name: len(camera.used) for name, camera in cameras.items()}
+    fewest = min(counts, key=lambda name: counts[name])
+    refuses, facts = not carried("clip-short", counts.values()), {"source": cameras[fewest].source}
+    yield Measure("clip-short", counts[fewest], fewest, facts=facts, refuses=refuses)
     gaps = {name: c.missing_frames / (len(c.frames) + c.missing_frames) for name, c in cameras.items()}
     worst = max(gaps, key=lambda name: gaps[name])
     lost = next((text for text in cameras[worst].notes if "frames missing" in text), "frames are missing")

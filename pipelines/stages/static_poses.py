@@ -2,20 +2,23 @@
 
 import json
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intrinsics
 from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.devices import device_groups
-from devrf.calibration.sweep.masks import prepare_masks
+from devrf.calibration.sweep.masks import masks_of, prepare_masks
 from devrf.calibration.sweep.static_poses import (
     SweepModel,
     SweepOptions,
     SweepPictures,
     recover_static_poses,
 )
+from devrf.capture.bursts import bursts
+from devrf.capture.exif import Exif
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet, some
 from devrf.capture.measure import noted
 from devrf.capture.orientation import by_exif
@@ -23,7 +26,7 @@ from devrf.capture.photos.photo_folders import list_pictures
 from devrf.capture.photos.picture_files import open_picture
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.pipelines.budget.at_once import swept_at_once
-from devrf.pipelines.health.board_rows import board_measures
+from devrf.pipelines.health.board_rows import board_measures, fits
 from devrf.pipelines.health.sweep_rows import sweep_measures
 from devrf.pipelines.inputs.board_clips import files_of
 from devrf.pipelines.inputs.board_spec import board_spec, lens_choice
@@ -40,7 +43,9 @@ def run(context: StageContext) -> None:
     assert capture is not None and capture.static is not None  # else the stage does not apply
     board = _board(context, frames)
     sfm = context.config.calibration.static_poses
-    stored = None if board is None else board.intrinsics.turned(frames.cameras[BOARD].upright.inverse)
+    stored = None
+    if board is not None and fits(board):
+        stored = board.intrinsics.turned(frames.cameras[BOARD].upright.inverse)
     threads, side_px = swept_at_once(context, frames.cameras[SWEEP])
     masks = None
     if sfm.masks is not None:
@@ -48,10 +53,11 @@ def run(context: StageContext) -> None:
         masks = folder, source
     options = SweepOptions(sfm.mapper, context.allowance.left_s, threads, side_px)
     swept = Swept(ingest, frames.cameras[SWEEP], stored, masks)
-    model, without_mask = recover_sweep(swept, context.out, options, context.progress)
+    model, notes = recover_sweep(swept, context.out, options, context.progress)
     lens = None if stored is None else stored.turned(frames.cameras[SWEEP].upright)
     context.measures += sweep_measures(model, lens, side_px, frames.cameras[SWEEP].pixel_aspect)
-    context.measures += noted([f"no mask: {some(without_mask)}"] if without_mask else [], "masks")
+    for about, texts in notes.items():
+        context.measures += noted(texts, about)
     if board is not None:
         _add_board(context.out / "static_poses.json", board)
         context.measures += board_measures(SWEEP, board)
@@ -76,7 +82,7 @@ class Swept:
 
 def recover_sweep(
     swept: Swept, out: Path, options: SweepOptions, progress: Progress = no_progress
-) -> tuple[SweepModel, list[str]]:
+) -> tuple[SweepModel, dict[str, list[str]]]:
     """Structure from motion of the pictures that ingest left, with all that their tags say.
 
     Args:
@@ -85,7 +91,7 @@ def recover_sweep(
         options: Threads, size of pictures and time that it may use.
         progress: Told how far it is.
     Returns:
-        The model, and the pictures that have no mask where masks are given.
+        The model, and what is to be known of masks and bursts, by what it is about.
     """
     ingest, sweep = swept.ingest, swept.frames
     used = {f.file.removeprefix("frames/"): f for f in sweep.used if f.file is not None}
@@ -94,14 +100,17 @@ def recover_sweep(
     film = sweep.fps_mean is not None
     turns = {n: sweep.upright if film else by_exif(f.orientation or 1) for n, f in used.items()}
     with tempfile.TemporaryDirectory(dir=out, prefix="masks-") as masks:
-        without = []
+        notes: dict[str, list[str]] = {"masks": [], "held-out pictures": []}
         if swept.masks is not None:
             folder, source = swept.masks
             photos = [] if film else [photo.name for photo in list_pictures(source)]
             called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
             re_turned = {n: frame.re_turned for n, frame in used.items()}
-            count = len(swept.frames.frames) if film else None
+            count = len(sweep.frames) if film else len(photos)
             without = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
+            notes["masks"] += [f"no mask: {some(without)}"] if without else []
+            if masks_of(folder, called, count).from_1:
+                notes["masks"].append(f"numbered from 1 to {count}, so that 1 is that of the first picture")
         pictures = SweepPictures(
             ingest / "frames",
             device_groups(sizes, exif, swept.known, sweep.pixel_aspect, turns),
@@ -110,7 +119,20 @@ def recover_sweep(
             places={name: tags.place for name, tags in exif.items()},
         )
         model = recover_static_poses(pictures, out, options, progress)
-    return model, without
+    if not film:  # frames of a film are all near one another
+        model = _with_bursts(model, exif, out / "static_poses.json")
+        doubles = model.report["bursts"]
+        text = f"{len(doubles)} bursts, of {some([f'{b[0]} and {len(b) - 1} more' for b in doubles])}"
+        notes["held-out pictures"] += [f"{text}: each is held out whole or not at all"] if doubles else []
+    return model, notes
+
+
+def _with_bursts(model: SweepModel, exif: Mapping[str, Exif], file: Path) -> SweepModel:
+    """The model that knows which photos are near-doubles, in its file too."""
+    found = bursts(model.cameras, [exif[n].taken_s if n in exif else None for n in model.names])
+    report = model.report | {"bursts": [[model.names[k] for k in members] for members in found]}
+    file.write_text(json.dumps(report, indent=1))
+    return replace(model, report=report)
 
 
 def _size(file: Path) -> tuple[int, int]:

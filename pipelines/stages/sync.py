@@ -15,13 +15,14 @@ from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest.ingest import read_brightness, read_motion, read_sounds
-from devrf.capture.measure import Measure, noted, of_test
+from devrf.capture.measure import ENOUGH_CAMERAS, Measure, noted, of_test
 from devrf.capture.rest import Rest
 from devrf.capture.system.durable import write_json
 from devrf.capture.system.errors import CalibrationError
 from devrf.capture.video.recorded import Recorded
 from devrf.pipelines.health.clock_rows import (
     BY_GEOMETRY,
+    REFUSED_BELOW,
     UNSURE_FRAMES,
     USUAL_FPS,
     confidence_measure,
@@ -188,7 +189,9 @@ def _clocks(cameras: dict[str, CameraFrames], result: SyncResult) -> Iterator[Me
     worst = min(others, key=lambda name: others[name].confidence)
     why = "; ".join([text for text in result.notes if worst in text.split(":")[0]][:LISTED_NOTES])
     moves = any(curve.method == "motion" and worst in (curve.first, curve.second) for curve in result.curves)
-    yield confidence_measure(worst, others[worst], why, BY_GEOMETRY if moves else "")
+    known = 1 + sum(clock.confidence >= REFUSED_BELOW for clock in others.values())  # and the first one
+    hope, refuses = BY_GEOMETRY if moves else "", known < ENOUGH_CAMERAS
+    yield confidence_measure(worst, others[worst], why, hope, refuses)
     vague = max(others, key=lambda name: others[name].std_s)
     if math.isfinite(others[vague].std_s):
         step_ms = frame_ms(cameras[vague])

@@ -16,7 +16,7 @@ from devrf.calibration.rigs.board_route import rig_from_board
 from devrf.calibration.rigs.board_views import TimedView
 from devrf.calibration.rigs.clean_picture import clean_pictures
 from devrf.calibration.rigs.graph import camera_graph
-from devrf.calibration.rigs.joint import adjust_together, disagreement
+from devrf.calibration.rigs.joint import adjust_together, disagreement, rig_in_world
 from devrf.calibration.rigs.registration import camera_of, register
 from devrf.calibration.rigs.rig import Rig, RigCamera, Scale, read_rig, write_rig
 from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances
@@ -163,9 +163,12 @@ def test_rig_from_sweep(sweep, tmp_path, monkeypatch, board):
         assert c.details["inlier_area"] > 0.3
 
 
-def test_a_camera_that_shares_no_view_is_named(sweep, tmp_path, monkeypatch):
+@pytest.mark.parametrize("cameras", [2, 3])
+def test_a_camera_that_shares_no_view_is_left_out_where_others_are_enough(
+    sweep, tmp_path, monkeypatch, cameras
+):
     model, look = sweep
-    truth = fixed_cameras()
+    truth = dict(list(fixed_cameras().items())[:cameras])
     features = {f"{n}_clip": features_of(c, model, look, 10 + i) for i, (n, c) in enumerate(truth.items())}
     rng = np.random.default_rng(3)
     noise = rng.integers(0, 160, (400, 128)).astype(np.uint8)
@@ -174,8 +177,14 @@ def test_a_camera_that_shares_no_view_is_named(sweep, tmp_path, monkeypatch):
     inputs = [
         FixedCameraInput(n, [tmp_path / f"{n}_clip.png"], *SIZE, from_vector(*SIZE, VECTOR)) for n in truth
     ]
-    with refused("rig-unlinked-camera", "cam1", "need 30", kind=HealthError):
-        rig_from_sweep(model, inputs, tmp_path)
+    if cameras == 2:
+        with refused("rig-unlinked-camera", "cam1", "need 30", kind=HealthError):
+            rig_from_sweep(model, inputs, tmp_path)
+        return
+    found = rig_from_sweep(model, inputs, tmp_path)
+    assert list(found.left_out) == ["cam1"] and "need 30" in found.left_out["cam1"]
+    assert list(found.cameras) == list(found.registrations) == ["cam0", "cam2"]
+    assert all(errors(found.cameras[n].camera, truth[n])[0] < 0.15 for n in ("cam0", "cam2"))
 
 
 def test_clean_pictures_drop_what_moves(tmp_path):
@@ -285,12 +294,43 @@ def test_a_wrong_board_view_is_dropped():
 
 
 def test_cameras_without_a_common_board_are_named():
+    truth = above(2)
+    views = board_session(truth)
+    views["cam1"] = [TimedView(v.view, v.time_s + 100.0) for v in views["cam1"]]
+    known = {n: from_vector(*SIZE, VECTOR) for n in truth}
+    with refused("rig-unlinked-camera", "cam1", "cam0", "0 corners", kind=HealthError):
+        rig_from_board(views, SPEC, known, known)
+
+
+@pytest.mark.parametrize("lost", ["cam0", "cam2"])
+def test_a_camera_that_the_board_does_not_tie_is_left_out_where_others_are_enough(lost):
     truth = above(3)
     views = board_session(truth)
-    views["cam2"] = [TimedView(v.view, v.time_s + 100.0) for v in views["cam2"]]
+    views[lost] = [TimedView(v.view, v.time_s + 100.0) for v in views[lost]]
     known = {n: from_vector(*SIZE, VECTOR) for n in truth}
-    with refused("rig-unlinked-camera", "cam2", "cam0, cam1", "0 corners", kind=HealthError):
-        rig_from_board(views, SPEC, known, known)
+    found = rig_from_board(views, SPEC, known, known)
+    rest = [name for name in truth if name != lost]
+    assert list(found.left_out) == [lost] and all(name in found.left_out[lost] for name in rest)
+    assert list(found.cameras) == rest
+    one, other = (c[rest[1]].moved(np.linalg.inv(c[rest[0]].world_from_cam)) for c in (truth, found.cameras))
+    assert np.linalg.norm(one.centre - other.centre) < 0.02 * np.linalg.norm(one.centre)
+
+
+@pytest.mark.parametrize("count", [3, 4, 6])
+def test_a_camera_that_was_moved_since_it_was_given_is_told_by_the_others(count):
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = 2.5 * cv2.Rodrigues(np.array([0.2, 0.5, -0.3]))[0], [3.0, -1.0, 0.4]
+    given = {f"cam{n}": camera for n, camera in enumerate(ring(count, radius=2.6, height=0.8))}
+    world = {n: camera.moved(turned) for n, camera in given.items()}
+    shifted = np.eye(4)
+    shifted[:3, 3] = [1.0, 0.7, 0.4]
+    world["cam1"] = world["cam1"].moved(shifted)
+    stood = rig_in_world(given, world, most=0.1)
+    if count == 3:  # nobody knows which
+        assert len(stood.fitted) == 3 and max(stood.off.values()) > 0.1
+        return
+    assert set(stood.fitted) == given.keys() - {"cam1"} and stood.off["cam1"] > 1
+    np.testing.assert_allclose(stood.world_from_rig, turned, atol=1e-9)
 
 
 @pytest.mark.full

@@ -12,6 +12,7 @@ from devrf.capture.mattes.given import cameras_with_mattes, find_mattes, is_inve
 from devrf.capture.mattes.make import MatteClip, chroma_mattes, given_mattes
 from devrf.capture.mattes.matte_facts import measure
 from devrf.capture.mattes.tidy import tidy
+from devrf.capture.mattes.whose import files_of
 from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.system.errors import CaptureError, InputError
 
@@ -124,7 +125,7 @@ def test_names_of_given_mattes(tmp_path: Path, called: str) -> None:
     (tmp_path / "cam0").mkdir()
     (tmp_path / "x.png").rename(tmp_path / "cam0" / called)
     film, photo = {12: None}, {3: "IMG_7.jpg"}
-    assert find_mattes(tmp_path / "cam0", film if "12" in called else photo)[0].name == called
+    assert find_mattes(tmp_path / "cam0", film if "12" in called else photo).files.popitem()[1].name == called
 
 
 def test_mattes_numbered_from_1_where_the_first_frames_are_not_used(tmp_path: Path) -> None:
@@ -134,9 +135,44 @@ def test_mattes_numbered_from_1_where_the_first_frames_are_not_used(tmp_path: Pa
     with refused("mattes-misnumbered", str(tmp_path), kind=CaptureError):
         find_mattes(tmp_path, dict.fromkeys(range(2, 6)))
     made_for_them = find_mattes(tmp_path, dict.fromkeys(range(1, 7)))
-    assert [f.stem for f in made_for_them] == [f"{n:04d}" for n in range(1, 7)]
+    assert {n: f.stem for n, f in made_for_them.files.items()} == {n: f"{n:04d}" for n in range(1, 7)}
+    known = find_mattes(tmp_path, dict.fromkeys(range(2, 6)), 6)  # as many as there are frames
+    assert known.from_1 and {n: f.stem for n, f in known.files.items()} == {
+        n: f"{n + 1:04d}" for n in range(2, 6)
+    }
     write_png(tmp_path / "0000.png", blob())
-    assert find_mattes(tmp_path, dict.fromkeys(range(2, 6)))[0].stem == "0002"
+    assert find_mattes(tmp_path, dict.fromkeys(range(2, 6))).files[2].stem == "0002"
+
+
+@pytest.mark.parametrize(
+    ("photos", "files", "found"),
+    [
+        (("000.jpg", "001.jpg", "002.jpg"), ("000.png", "001.png", "002.png"), (0, 1, 2)),
+        (("000.jpg", "001.jpg", "002.jpg"), ("001.png", "002.png", "003.png"), None),
+        (("001.jpg", "002.jpg", "003.jpg"), ("000.png", "001.png", "002.png"), None),
+        (("IMG_1.jpg", "IMG_2.jpg", "IMG_3.jpg"), ("IMG_2.jpg.png", "IMG_3.jpg.png"), (None, 0, 1)),
+        (("IMG_1.jpg", "IMG_2.jpg", "IMG_3.jpg"), ("1.png", "2.png", "3.png"), (0, 1, 2)),
+        (("IMG_7.jpg", "IMG_8.jpg", "IMG_9.jpg"), ("m_1.png", "m_2.png", "m_3.png"), (0, 1, 2)),
+        (("IMG_7.jpg", "IMG_8.jpg", "IMG_9.jpg"), ("0.png", "1.png", "2.png"), (0, 1, 2)),
+        (("IMG_7.jpg", "IMG_8.jpg", "IMG_9.jpg"), ("8.png",), (None, 0, None)),
+        ((None, None, None), ("001.png", "002.png", "003.png"), (0, 1, 2)),
+        ((None, None, None), ("000.png", "002.png"), (0, None, 1)),
+    ],
+)
+def test_whose_a_file_is(
+    tmp_path: Path,
+    photos: tuple[str | None, ...],
+    files: tuple[str, ...],
+    found: tuple[int | None, ...] | None,
+) -> None:
+    """Three pictures, and for each the place of its file among those that are there."""
+    paths, pictures = [tmp_path / name for name in files], dict(enumerate(photos))
+    if found is None:
+        with refused("mattes-misnumbered", "its 3 files", "3 photos", "rename", kind=CaptureError):
+            files_of(paths, pictures, 3)
+    else:
+        expected = {n: paths[k] for n, k in enumerate(found) if k is not None}
+        assert files_of(paths, pictures, 3).files == expected
 
 
 def test_missing_mattes_are_named(tmp_path: Path) -> None:

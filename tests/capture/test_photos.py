@@ -184,7 +184,9 @@ def test_mattes_and_masks_follow_the_turn_that_was_chosen(tmp_path):
         write_png(tmp_path / f"{name}.png", drawn)
         np.testing.assert_array_equal(read_given(tmp_path / f"{name}.png", 64, 48, False, turn), matte)
         (tmp_path / "out").mkdir(exist_ok=True)
-        pictures, sizes = {f"{name}.jpg": f"{name}.jpg"}, {f"{name}.jpg": (64, 48)}
-        prepare_masks(tmp_path, pictures, sizes, tmp_path / "out", {f"{name}.jpg": turn})
-        kept = read_pixels(tmp_path / "out" / f"{name}.jpg.png")[..., 0]
+        picture = "000000.jpg"
+        prepare_masks(
+            tmp_path, {picture: f"{name}.jpg"}, {picture: (64, 48)}, tmp_path / "out", {picture: turn}
+        )
+        kept = read_pixels(tmp_path / "out" / f"{picture}.png")[..., 0]
         assert kept[5, 5] == 255 and kept[5, 50] == 0 and kept.shape == (48, 64)

@@ -322,7 +322,12 @@ def test_a_list_of_test_pictures_that_names_none_is_no_list(tmp_path: Path):
     notes: list[str] = []
     nerfstudio(tmp_path, [None] * 4, test_filenames=["a.png", "b.png"])
     frames = read_dataset("nerfstudio", tmp_path, holdout_every=2, notes=notes).static
-    assert [f.split for f in frames] == ["test", "train"] * 2
+    assert [f.split for f in frames] == [
+        "test",
+        "train",
+        "test",
+        "test",
+    ]  # the last from the place of the first
     assert any("2 of 2 names" in note and "a.png, b.png; no test picture" in note for note in notes)
     (tmp_path / "other").mkdir()
     for n in range(4):  # two folders with pictures of the same name: 1.png is either

@@ -153,6 +153,23 @@ def test_a_witness_changes_nothing_up_to_the_models(
 
 
 @pytest.mark.full
+def test_a_training_camera_that_films_something_else_is_left_out(session: Session, tmp_path: Path) -> None:
+    other = session.with_clip(noise, tmp_path / "other")
+    content = yaml.safe_load(other.scene.read_text())
+    cameras = content["capture"]["cameras"]
+    content["capture"]["cameras"] = {"first": content["capture"].pop("test_cameras")[WITNESS], **cameras}
+    content["calibration"] = {"sync": {"method": "none"}}
+    other.scene.write_text(yaml.safe_dump(content))
+    run = other.run("scene")
+    rig = json.loads((run / "rig" / "rig.json").read_text())
+    assert list(rig["left_out"]) == ["first"] and list(rig["cameras"]) == list(cameras)
+    rows = json.loads((run / "rig" / "health.json").read_text())["rows"]
+    assert [row["about"] for row in rows if row["code"] == "camera-left-out"] == ["first"]
+    frames = json.loads((run / "scene" / "dynamic" / "transforms.json").read_text())["frames"]
+    assert {frame["camera"] for frame in frames} == set(cameras)
+
+
+@pytest.mark.full
 def test_what_is_held_out_of_the_sweep_is_in_structure_from_motion_alone(
     session: Session, tmp_path: Path
 ) -> None:

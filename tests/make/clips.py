@@ -35,13 +35,16 @@ def film(
     times_s: Sequence[float] | None = None,
     base: Fraction = TIME_BASE,
     pix_fmt: str = "yuv420p",
+    rotation: int = 0,
     **options: str,
 ) -> Path:
-    """A clip without sound, at an even rate or at these times; `options` are the codec's."""
+    """A clip without sound, at an even rate or at these times, to be shown turned; `options` are the codec's."""
     with av.open(str(path), "w") as out:
         stream: Any = out.add_stream(codec, rate=rate)
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt, stream.options = pix_fmt, options
+        if rotation:
+            stream.set_display_rotation(rotation)
         if times_s is not None:
             stream.time_base = stream.codec_context.time_base = base
         ticks = None if times_s is None else [round(time_s / base) for time_s in times_s]

@@ -30,6 +30,7 @@ from devrf.pipelines.stages.scene.clock_check import (
     clock_check,
     timed_pictures,
     unknown_clocks,
+    untimed,
 )
 from devrf.pipelines.stages.sync import measures
 
@@ -106,9 +107,12 @@ def test_a_healthy_capture_fires_none():
 def test_d1_d19_no_sound_and_nothing_moves():
     still = {n: np.stack([np.arange(149) / FPS, np.ones(149)], 1) for n in NAMES}
     result = synchronise(SPANS, {n: SOUNDS[n] for n in NAMES[:2]}, still)
-    row = rows_of(result)["clock-unknown cam2"]
-    assert row.verdict == "fail" and "cam2: no sound" in row.remedy and "capture.timestamps" in row.remedy
+    row = rows_of(result)["clock-unknown cam2"]  # the others are enough to go on without it
+    assert row.verdict == "warn" and "cam2: no sound" in row.remedy and "capture.timestamps" in row.remedy
     assert "cam0 and cam2: too little motion" in notes_of(result)
+    assert untimed(result.cameras, CAMERAS) == ["cam2"]
+    two = {n: result.cameras[n] for n in ("cam0", "cam2")}
+    assert untimed(two, CAMERAS) == [] and judge(unknown_clocks(two, "", CAMERAS))[0].verdict == "fail"
 
 
 def test_d2_a_weak_peak():
@@ -195,7 +199,7 @@ def test_d16_d17_d18_flashes_are_placed_missed_and_refused():
     assert "camera cam0: 3 flashes (" in notes_of(placed) and "row" in notes_of(placed)
     missed = synchronise(SPANS, {}, {}, "flash", extras=Extras(LIGHT | {"cam2": lit(-0.13, ())}))
     row = rows_of(missed)["clock-unknown cam2"]
-    assert row.verdict == "fail" and "cam2: saw no flash" in row.remedy
+    assert row.verdict == "warn" and "cam2: saw no flash" in row.remedy
     blinking = {n: lit(o, tuple(np.arange(0.2, 4.6, 0.4))) for n, o in OFFSETS_S.items()}
     periodic = synchronise(SPANS, {}, {}, "flash", extras=Extras(blinking))
     assert rows_of(periodic)["clock-unknown cam1"].verdict == "fail"

@@ -128,6 +128,21 @@ def test_a_silent_camera_in_which_nothing_moves_fails(tmp_path):
     assert json.loads((tmp_path / "sync" / "sync.json").read_text())["cameras"]["cam1"]["std_s"] is None
 
 
+def test_a_silent_camera_refuses_nothing_where_others_are_enough(tmp_path):
+    write_ingest(
+        tmp_path, {n: frames() for n in ("cam0", "cam1", "cam2")}, {n: sound(0.0) for n in ("cam0", "cam1")}
+    )
+    stage = context(tmp_path)
+    sync.run(stage)
+    assert named(stage.health)["clock-unknown cam2"].verdict == "warn"
+
+
+@pytest.mark.parametrize(("counts", "verdict"), [((60, 60, 1), "warn"), ((60, 1), "fail")])
+def test_a_clip_of_one_picture_refuses_nothing_where_others_are_enough(counts, verdict):
+    filmed = FrameSet({f"cam{n}": frames(count=count) for n, count in enumerate(counts)})
+    assert named(judge(ingest.ingested(filmed)))[f"clip-short cam{len(counts) - 1}"].verdict == verdict
+
+
 def test_own_clocks_are_taken_with_a_warning(tmp_path):
     write_ingest(tmp_path, {"cam0": frames(), "cam1": frames()}, {})
     stage = context(tmp_path, "none")

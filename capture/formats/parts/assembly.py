@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from devrf.capture.bursts import bursts, held_out
 from devrf.capture.camera import Camera
 from devrf.capture.scene import Background, PosedFrame, Scene, SparsePoints, plain_colour
+from devrf.capture.system.amounts import some
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.view_axes import closest_point
 
@@ -144,10 +146,19 @@ def every_nth_time(frames: tuple[PosedFrame, ...], stride: int) -> tuple[PosedFr
     return tuple(replace(f, flow=None) for f in thinned)
 
 
-def hold_out(frames: tuple[PosedFrame, ...], every: int, keep: int = 0) -> tuple[PosedFrame, ...]:
-    """Every n-th picture becomes a test picture; the last `keep` never do."""
+def hold_out(
+    frames: tuple[PosedFrame, ...], every: int, keep: int, notes: list[str]
+) -> tuple[PosedFrame, ...]:
+    """Every n-th picture becomes a test picture, near-doubles together, which is noted; the last `keep` never do."""
     last = len(frames) - keep
-    return tuple(replace(f, split="test") if i % every == 0 and i < last else f for i, f in enumerate(frames))
+    doubles = bursts([f.camera for f in frames[:last]])
+    if doubles:
+        names = some([f"{frames[of[0]].path.name} and {len(of) - 1} more" for of in doubles])
+        notes.append(
+            f"{len(doubles)} bursts of pictures from one place, of {names}: each is held out whole or not at all"
+        )
+    held = held_out(last, every, doubles).tolist() + [False] * keep
+    return tuple(replace(f, split="test") if h else f for f, h in zip(frames, held, strict=True))
 
 
 def time_within(value: Any, where: str) -> float:

@@ -18,8 +18,10 @@ from devrf.calibration.rigs.sweep_route import FixedCameraInput, SweepRig, rig_f
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.measure import Measure
-from devrf.capture.system.progress import Progress, part
+from devrf.capture.system.errors import CalibrationError, HealthError
+from devrf.capture.system.progress import Progress, no_progress, part
 from devrf.pipelines.budget.at_once import registered_at_once
+from devrf.pipelines.health.board_rows import board_measures, fits
 from devrf.pipelines.health.rig_rows import (
     joint_measures,
 )
@@ -70,6 +72,13 @@ class RigJob:
         """The intrinsics in it."""
         return {} if self.given is None else dict(self.given.intrinsics)
 
+    def leave_out(self, cameras: Mapping[str, str]) -> None:
+        """Say that nothing is used of these cameras that were to be trained on, and why."""
+        self.measures += [
+            Measure("camera-left-out", "no place in the rig", name, facts={"reason": f"{why}."})
+            for name, why in cameras.items()
+        ]
+
     @cached_property
     def model(self) -> SweepModel:
         """The sweep, without what is held out of it."""
@@ -106,18 +115,37 @@ class RigJob:
     def clip_calibrations(
         self, cameras: Mapping[str, CameraFrames], progress: Progress
     ) -> dict[str, Intrinsics]:
-        """Intrinsics from each camera's own board clip, else from its joint clip where that shows enough."""
+        """Intrinsics from each camera's own board clip, else from its joint clip where that shows enough.
+
+        A camera whose clip says nothing, or does not fit, goes without, as one that has no such clip.
+
+        Raises:
+            HealthError: The board is seen in none of the clips that were filmed for it: it is another one than told.
+        """
         if self.clips is None:
             return {}
+        unseen: dict[str, HealthError] = {}
         for n, name in enumerate(cameras):
             own, joint = self.clips.own(name), self.frames.joint.get(name)
             entry = own or joint
             if entry is None:
                 continue
             step = part(progress, n / len(cameras), 1 / len(cameras))
-            clip = self.clips.search(name, entry, progress=step, required=own is not None)
-            if own is not None or len(clip.views) >= MIN_VIEWS:
-                self.boards[name] = clip.calibration
+            try:
+                clip = self.clips.search(name, entry, progress=step, required=own is not None)
+                if own is None and len(clip.views) < MIN_VIEWS:
+                    continue
+                if fits(clip.calibration):
+                    self.boards[name] = clip.calibration
+                else:
+                    self.measures += board_measures(name, clip.calibration)
+            except HealthError as error:
+                unseen[name] = error
+        if unseen and not self.boards:
+            raise next(iter(unseen.values()))
+        for name, error in unseen.items():
+            whose, facts = f"board clip of {name}", {"error": str(error)}
+            self.measures.append(Measure("board-unseen", "never", whose, "never", facts))
         return {name: board.intrinsics for name, board in self.boards.items() if name in cameras}
 
     def board_rig(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
@@ -132,17 +160,21 @@ class RigJob:
     def by_board(self, names: list[str], progress: Progress) -> tuple[JointViews, BoardRig]:
         assert self.clips is not None
         known = self.given_lenses
-        for name in names:
-            own = self.clips.own(name)
-            if name not in known and own is not None:
-                self.boards[name] = self.clips.search(name, own).calibration
-                known[name] = self.boards[name].intrinsics
+        with_own = {n: self.frames.moving[n] for n in names if n not in known and self.clips.own(n)}
+        known |= self.clip_calibrations(with_own, no_progress)
         seen = read_joint_views(self.clips, names, known, part(progress, 0.0, 0.7))
         self.boards = seen.own | self.boards
-        return seen, rig_from_board(seen.views, seen.spec, seen.start, seen.known, part(progress, 0.7, 0.2))
+        found = rig_from_board(seen.views, seen.spec, seen.start, seen.known, part(progress, 0.7, 0.2))
+        return seen, replace(found, left_out=seen.left_out | found.left_out)
 
     def of_board(self, name: str, seen: JointViews, found: BoardRig) -> RigCamera:
-        """A camera as the joint clips show it, in the board rig's world."""
+        """A camera as the joint clips show it, in the board rig's world.
+
+        Raises:
+            CalibrationError: They do not tie it to the others.
+        """
+        if name not in found.views.names:
+            raise CalibrationError("rig-unlinked-camera", found.left_out[name])
         c = found.views.names.index(name)
         support = np.flatnonzero(found.solution.problem.obs_camera == c)
         lens = "given" if name in self.given_lenses else "board"

@@ -7,16 +7,17 @@ import numpy as np
 from devrf.calibration.boards.find import find_board
 from devrf.calibration.rigs.bump import find_bump
 from devrf.calibration.rigs.graph import Link, camera_graph
-from devrf.calibration.rigs.joint import adjust_together, disagreement, world_from_rig
+from devrf.calibration.rigs.joint import adjust_together, disagreement, rig_in_world, world_from_rig
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, Scale
 from devrf.calibration.rigs.rig_cameras import rig_camera
 from devrf.calibration.rigs.scale import combined, scale_from_board, scale_from_distances
 from devrf.calibration.rigs.sweep_route import SweepRig
 from devrf.calibration.sweep.static_poses import SweepModel
-from devrf.calibration.truth import similarity
+from devrf.capture.frames import some
 from devrf.capture.measure import Measure, noted, of_test
 from devrf.capture.system.errors import CalibrationError, HealthError, InputError
 from devrf.capture.system.progress import Progress, no_progress, part
+from devrf.pipelines.health.judge import refuses_at
 from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.health.rig_rows import (
     bump_measures,
@@ -73,6 +74,7 @@ def from_sweep(job: RigJob) -> Rig:
     cameras = {n: job.named_lens(n, c) for n, c in swept.cameras.items()}
     for name, c in cameras.items():
         job.measures += sweep_measures(name, c)
+    job.leave_out(swept.left_out)
     context.progress(0.65, "metric scale")
     job.scales = _scales(job, model, {n: c.camera.centre for n, c in cameras.items()})
     joint = [name for name in cameras if name in job.frames.joint]
@@ -83,25 +85,27 @@ def from_sweep(job: RigJob) -> Rig:
             cameras, graph = together
     job.swept = replace(swept, cameras=cameras)
     scale = combined(job.scales) if job.scales else ARBITRARY
-    return Rig({n: _scaled(c, scale.factor) for n, c in cameras.items()}, scale, "sweep", graph)
+    placed = {n: _scaled(c, scale.factor) for n, c in cameras.items()}
+    return Rig(placed, scale, "sweep", graph, swept.left_out)
 
 
 def from_board(job: RigJob) -> Rig:
     """Route B: the board before several cameras at once; metres, in the first camera's frame."""
     seen, found = job.board_rig(list(job.trained), job.context.progress)
+    job.leave_out(found.left_out)
     index = {name: c for c, name in enumerate(found.views.names)}
     cameras = {name: job.of_board(name, seen, found) for name in index}
     if job.board_is_measured:
         job.scales = [Scale(True, "board seen by several cameras at once", 1.0, None)]
     scale = job.scales[0] if job.scales else ARBITRARY
-    rig = Rig(cameras, scale, "board", camera_graph(found.solution.problem, index))
+    rig = Rig(cameras, scale, "board", camera_graph(found.solution.problem, index), found.left_out)
     job.measures += graph_measures(rig.graph, rig)
     return rig
 
 
 def with_test_cameras(job: RigJob, rig: Rig) -> Rig:
     """The rig with its test cameras, each placed by itself against what stands; those that cannot be are named."""
-    placed, missing = dict(rig.cameras), {}
+    placed, missing = dict(rig.cameras), dict(rig.left_out)
     for name in job.tests:
         try:
             placed[name] = rig.cameras.get(name) or _test_camera(job, name, rig)
@@ -128,9 +132,10 @@ def _test_camera_by_board(job: RigJob, name: str, rig: Rig) -> RigCamera:
     if name not in job.frames.joint:
         text = f"camera '{name}' has no clip of the board that others see at once (capture.board.joint_clips)"
         raise CalibrationError("rig-without-source", text)
-    seen, found = job.by_board([*job.trained, name], job.context.progress)
+    trained = [n for n in job.trained if n in rig.cameras]
+    seen, found = job.by_board([*trained, name], job.context.progress)
     camera = job.of_board(name, seen, found)
-    into = world_from_rig({n: rig.cameras[n].camera for n in job.trained}, found.cameras)
+    into = world_from_rig({n: rig.cameras[n].camera for n in trained}, found.cameras)
     return replace(camera, camera=camera.camera.moved(into))
 
 
@@ -153,6 +158,7 @@ def _together(
             Measure("rig-routes", "the board's does not fit, the sweep's is used", why="unfit")
         )
         return None
+    names = list(board.views.names)
     source = f"board seen at once by {', '.join(names)}"
     if job.board_is_measured:
         job.scales.append(Scale(True, source, 1 / unit, joint.unit_std))
@@ -172,9 +178,10 @@ def _together(
     return out, camera_graph(joint.problem, swept.index)
 
 
-def look_for_bumps(job: RigJob) -> None:
+def look_for_bumps(job: RigJob, rig: Rig) -> None:
     """Whether the fixed cameras stayed where they were over their clips."""
-    for name, camera in job.frames.moving.items():
+    for name in rig.cameras:
+        camera = job.frames.moving[name]
         seen = camera.filmed(job.ingest)
         job.measures += bump_measures(name, find_bump([f.file for f in seen], [f.time_s for f in seen]))
 
@@ -187,7 +194,10 @@ def _scales(job: RigJob, model: SweepModel, centres: dict[str, np.ndarray]) -> l
         found += [] if scale is None else [scale]
         job.measures += noted([text] if scale is None and text else [], "board in the sweep")
     distance = job.settings.known_distance_m
-    if distance is not None:
+    if distance is not None and (lost := [n for n in list(job.trained)[:2] if n not in centres]):
+        text = f"calibration.rig.known_distance_m is not used, since {' and '.join(lost)} has no place"
+        job.measures += noted([text], "known distance")
+    elif distance is not None:
         first, second = list(centres)[:2]
         true = {first: np.zeros(3), second: np.array([distance, 0.0, 0.0])}
         scale = scale_from_distances(true, centres, f"known distance from {first} to {second}")
@@ -217,18 +227,20 @@ def _given_into_sweep(job: RigJob, rig: Rig) -> Rig:
             "calibration.rig.given: fewer than three cameras do not tie a given rig to the sweep; "
             "set calibration.rig.method to sweep",
         )
-    names = list(found)
-    sweep_from_given = similarity(
-        np.array([rig.cameras[n].camera.centre for n in names]),
-        np.array([found[n].camera.centre for n in names]),
-    )
-    unit = float(np.cbrt(np.linalg.det(sweep_from_given[:3, :3])))
-    metres = np.diag([1 / unit, 1 / unit, 1 / unit, 1.0])
-    world_from_given = metres @ sweep_from_given
+    lost = [n for n in job.trained if n not in found]
+    if lost:
+        job.measures += noted([f"{some(lost)} not found in the sweep, and placed as given"], "given")
+    percent = 100 / max(float(np.median([c.details["median_distance"] for c in found.values()])), 1e-9)
+    places = ({n: rig.cameras[n].camera for n in found}, {n: c.camera for n, c in found.items()})
+    stood = rig_in_world(*places, refuses_at("rig-given-moved") / percent)
+    unit = float(np.cbrt(np.linalg.det(stood.world_from_rig[:3, :3])))
+    world_from_given = np.diag([1 / unit, 1 / unit, 1 / unit, 1.0]) @ stood.world_from_rig
     cameras = {n: replace(c, camera=c.camera.moved(world_from_given)) for n, c in rig.cameras.items()}
-    miss = max(float(np.linalg.norm(cameras[n].camera.centre - found[n].camera.centre / unit)) for n in names)
-    distance = float(np.median([c.details["median_distance"] for c in found.values()])) / unit
-    job.measures.append(Measure("rig-given-moved", 100 * miss / max(distance, 1e-9)))
+    job.measures.append(Measure("rig-given-moved", percent * max(stood.off[n] for n in stood.fitted)))
+    for name in found.keys() - set(stood.fitted):
+        cameras[name] = _scaled(found[name], 1 / unit)
+        off = percent * stood.off[name]
+        job.measures.append(Measure("rig-given-moved", off, name, "one", refuses=False))
     return Rig(cameras, replace(rig.scale, factor=1 / unit), "given")
 
 

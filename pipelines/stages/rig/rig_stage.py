@@ -25,7 +25,7 @@ def run(context: StageContext) -> None:
     job = RigJob(context)
     rig = {"given": from_given, "sweep": from_sweep, "board": from_board}[route(job)](job)
     rig = with_test_cameras(job, rig)
-    look_for_bumps(job)
+    look_for_bumps(job, rig)
     told = {
         n: c.details | {"board": job.boards[n].as_dict()} for n, c in rig.cameras.items() if n in job.boards
     }

@@ -16,7 +16,7 @@ from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
 from devrf.capture.frames import FrameSet
 from devrf.capture.mattes.given import SWEEP
-from devrf.capture.measure import Measure, of_test
+from devrf.capture.measure import ENOUGH_CAMERAS, Measure, noted, of_test
 from devrf.capture.scene import PosedFrame, Scene, SparsePoints, by_camera
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.progress import part
@@ -24,7 +24,7 @@ from devrf.pipelines.health.box_rows import box_measures
 from devrf.pipelines.health.left_out import NO_PICTURE, left_out
 from devrf.pipelines.health.matte_rows import matte_measures
 from devrf.pipelines.stage import StageContext
-from devrf.pipelines.stages.scene.clock_check import checked_clocks
+from devrf.pipelines.stages.scene.clock_check import checked_clocks, untimed
 from devrf.pipelines.stages.scene.filmed_clips import filmed_clip, stretches_of
 from devrf.pipelines.stages.scene.measured_rest import rest_time
 from devrf.pipelines.stages.scene.scene_mattes import scene_mattes
@@ -49,6 +49,10 @@ def scene_from_capture(
     frames = FrameSet.read(ingest)
     rig_file, sweep_folder = context.run_dir / "rig" / "rig.json", context.run_dir / "static_poses"
     rig = read_rig(rig_file) if frames.moving else Rig({}, ARBITRARY)
+    lost = [name for name in frames.trained if name not in rig.cameras]
+    context.measures += noted(
+        [f"without {', '.join(lost)}, which has no place in the rig"] if lost else [], "cameras"
+    )
     frames = _placed(frames, rig)
     whole = read_static_poses(sweep_folder) if (sweep_folder / "static_poses.json").is_file() else None
     every = config.evaluate.holdout_every
@@ -56,6 +60,7 @@ def scene_from_capture(
     factor = rig.scale.factor
     static = () if whole is None else _sweep_frames(whole, ingest, factor, every)
     clocks = checked_clocks(context, frames, rig)
+    frames = _timed(context, frames, clocks)
     dynamic, t0_s, t1_s = _moving_frames(context, frames, rig, clocks)
     context.measures += unused(frames.trained, frames.tests, dynamic)
     static, dynamic = _with_looks(context.run_dir / "colour", static, dynamic)
@@ -151,11 +156,19 @@ def _with_looks(folder: Path, *parts: tuple[PosedFrame, ...]) -> tuple[tuple[Pos
 
 
 def _placed(frames: FrameSet, rig: Rig) -> FrameSet:
-    """What was filmed, without test cameras that have no place in the rig."""
-    return replace(
-        frames,
-        cameras={n: c for n, c in frames.cameras.items() if c.role != "test" or n in rig.cameras},
-    )
+    """What was filmed, without cameras that have no place in the rig."""
+    lost = frames.moving.keys() - rig.cameras.keys()
+    return replace(frames, cameras={n: c for n, c in frames.cameras.items() if n not in lost})
+
+
+def _timed(context: StageContext, frames: FrameSet, clocks: dict[str, Clock]) -> FrameSet:
+    """What was filmed, without training cameras whose clocks nothing tells."""
+    lost = untimed({name: clocks[name] for name in frames.trained}, frames.trained)
+    facts = {"reason": "its clock is not known; another row says what to do."}
+    context.measures += [
+        Measure("camera-left-out", "nothing of it is used", name, facts=facts) for name in lost
+    ]
+    return replace(frames, cameras={n: c for n, c in frames.cameras.items() if n not in lost})
 
 
 def _moving_frames(
@@ -201,7 +214,7 @@ def without_single_pictures(dynamic: Sequence[PosedFrame]) -> tuple[PosedFrame, 
     """
     counts = Counter(frame.camera_name for frame in dynamic if frame.split == "train")
     single = {name for name, count in counts.items() if count < FEWEST_PICTURES}
-    if len(counts) - len(single) < min(2, len(counts)):
+    if len(counts) - len(single) < min(ENOUGH_CAMERAS, len(counts)):
         return tuple(dynamic)
     return tuple(frame for frame in dynamic if frame.camera_name not in single)
 

@@ -24,7 +24,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameSet
 from devrf.capture.ingest.ingest import read_motion
 from devrf.capture.ingest.survey import small
-from devrf.capture.measure import Measure, of_test
+from devrf.capture.measure import ENOUGH_CAMERAS, Measure, of_test
 from devrf.capture.photos.upright_pictures import read_grey
 from devrf.capture.system.durable import write_json
 from devrf.capture.system.progress import Progress, part
@@ -152,6 +152,7 @@ def check_measures(
             "geometry",
             warn=UNSURE_FRAMES * step_ms,
             fail=UNKNOWN_FRAMES * step_ms,
+            refuses=not untimed(used, frames),
         )
     kept = {n: c for n, c in check.corrections.items() if n not in replaced and c.sharp}
     if kept:
@@ -177,22 +178,36 @@ def _mend(name: str, cue: str, offset_s: float) -> str:
     return "Film with sound and clap a few times"
 
 
+def untimed(used: Mapping[str, Clock], frames: Mapping[str, CameraFrames]) -> list[str]:
+    """Cameras whose clocks are too little known, where enough others are known to go on without them."""
+    lost = [n for n, clock in used.items() if _off_pictures(clock, frames[n]) > UNKNOWN_FRAMES]
+    return lost if len(used) - len(lost) >= ENOUGH_CAMERAS else []
+
+
+def _off_pictures(clock: Clock, camera: CameraFrames) -> float:
+    """By how many pictures a clock that is no better than a guess may be off; 0 of others."""
+    if clock.method == "reference" or clock.std_s == 0:  # taken as true
+        return 0.0
+    if clock.confidence < REFUSED_BELOW:
+        return 1e3 * guess_std_s(clock) / frame_ms(camera)
+    return 1e3 * clock.std_s / frame_ms(camera) if clock.method == "geometry" else 0.0
+
+
 def unknown_clocks(used: Mapping[str, Clock], why: str, frames: Mapping[str, CameraFrames]) -> list[Measure]:
     """A refusal where a clock that was to be found by a cue is still not known.
 
-    A warning where motion gave a guess that tracking can be expected to mend, which tries up to three pictures.
+    A warning where motion gave a guess that tracking can be expected to mend, which tries up to three pictures, and
+    where the scene goes on without the camera.
     """
     found = {n: c for n, c in used.items() if c.method != "reference" and c.std_s > 0}  # 0: taken as true
     unknown = {n: c for n, c in found.items() if c.confidence < REFUSED_BELOW}
 
-    def pictures(name: str) -> float:
-        return 1e3 * guess_std_s(unknown[name]) / frame_ms(frames[name])
-
-    worst = max(unknown, key=pictures, default=None)
+    off = {n: _off_pictures(clock, frames[n]) for n, clock in unknown.items()}
+    worst = max(off, key=lambda n: off[n], default=None)
     if worst is None:
         return []
-    hope = BY_TRACKING if pictures(worst) <= UNKNOWN_FRAMES else ""
-    return [confidence_measure(worst, unknown[worst], why, hope)]
+    hope = BY_TRACKING if off[worst] <= UNKNOWN_FRAMES else ""
+    return [confidence_measure(worst, unknown[worst], why, hope, not untimed(used, frames))]
 
 
 def _content(check: GeometryCheck, used: Mapping[str, Clock]) -> dict[str, Any]:

@@ -97,6 +97,7 @@ def _clips(
             names={f.index: None if photos is None else photos[f.index].name for f in of_camera},
             small_sizes=tuple((camera.width, camera.height) for camera in small),
             turns=tuple(re_turned[f.index] for f in of_camera),
+            count=len(filmed.frames),
         )
     return clips
 
