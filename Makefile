@@ -61,7 +61,7 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt | $(VENV)/.python
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml setup.py constraints.txt | $(VENV)/.python
-	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,docs,export,ray,simulate,viewer]'
+	$(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt -e '.[dev,docs,export,methods,ray,simulate,viewer]'
 	touch $(VENV)/.installed $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed

@@ -16,6 +16,7 @@ from devrf.lab.bench.arguments import (
     of_a_scene,
 )
 from devrf.lab.bench.training.ablation_variants import VARIANTS
+from devrf.lab.methods.catalogue import METHODS, OURS, Regime, Size
 from devrf.pipelines.terminal.shared_options import configured
 from devrf.reconstruct.options import PresetName
 
@@ -79,6 +80,29 @@ def speed(
     assert asked.scene is not None
     chosen = {name: configured(asked.scene, name, of)[0].reconstruct for name, of in own.items()}
     run_speed(asked.bench, chosen, shares, every, asked.rows)
+
+
+@of_a_scene(bench)
+def methods(
+    asked: Asked,
+    names: Annotated[
+        str, typer.Option("--methods", help=f"What is compared, out of {', '.join(METHODS)}")
+    ] = f"d-nerf,k-planes,gaussians,{OURS}",
+    regime: Annotated[Regime, typer.Option(help="What is trained on")] = "joint",
+    size: Annotated[Size, typer.Option(help="Widths of the networks: for a CPU, or as published")] = "small",
+    seconds: Annotated[float, typer.Option(min=1, help="Of training, of each")] = 300.0,
+    steps: Annotated[int | None, typer.Option(min=1, help="At most so many iterations of each")] = None,
+    seeds: SeedsOption = 1,
+) -> None:
+    """Methods for moving scenes, on the same data, split and clock.
+
+    regime: joint trains on sweep and moving cameras together; two-stage first on the sweep, then on the moving
+    cameras; dynamic on these alone. A benchmark that was stopped goes on where it was, with the same --out.
+    """
+    from devrf.lab.bench.training.methods import Contest, run_methods
+
+    chosen = names_of("--methods", names, list(METHODS))
+    run_methods(asked.bench, Contest(chosen, regime, size, seconds, steps, range(seeds)), asked.rows)
 
 
 @of_a_scene(bench, SmallSceneArgument, preset="")

@@ -15,8 +15,7 @@ from tests.lab.conftest import SETTINGS
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.bench.training.ablation import PAPER_FORWARD, PAPER_INWARD
 from devrf.lab.bench.training.ablation_variants import VARIANTS, ablated
-from devrf.lab.bench.training.speed import Case, Measured, pareto
-from devrf.pipelines.config.scene import ReconstructConfig
+from devrf.lab.bench.training.measured import Measured, pareto
 from devrf.reconstruct.options import PRESETS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -168,7 +167,7 @@ def test_speed_names_wrong_words(
 def test_a_front_holds_what_no_other_beats() -> None:
     def measured(name: str, psnr: float, seconds: float, fps: float) -> Measured:
         result = {"test": {"psnr": psnr}, "model_mb": 1.0, "render_fps": fps}
-        return Measured(Case(name, 1.0, ReconstructConfig()), result, [], seconds)
+        return Measured(name, result, [], seconds)
 
     found = [
         measured("slow and good", 30.0, 100.0, 1.0),
@@ -177,9 +176,9 @@ def test_a_front_holds_what_no_other_beats() -> None:
         measured("quickest", 20.0, 5.0, 1.9),
         measured("as quick, worse", 19.0, 5.0, 1.0),
     ]
-    assert [one.case.name for one in pareto(found, "seconds")] == ["slow and good", "quick", "quickest"]
-    assert [one.case.name for one in pareto(found, "fps")] == ["slow and good", "quick"]
-    assert [one.case.name for one in pareto(found, "megabytes")] == ["slow and good"]
+    assert [one.name for one in pareto(found, "seconds")] == ["slow and good", "quick", "quickest"]
+    assert [one.name for one in pareto(found, "fps")] == ["slow and good", "quick"]
+    assert [one.name for one in pareto(found, "megabytes")] == ["slow and good"]
 
 
 @pytest.mark.full

@@ -1,8 +1,11 @@
 """How good a model is while it is still being trained."""
 
+from functools import partial
+
 import numpy as np
 
 from devrf.capture.scene import Scene, load_image
+from devrf.reconstruct.evaluation.evaluate import Render
 from devrf.reconstruct.evaluation.metrics import Comparison
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.fields.motion import MotionField
@@ -33,13 +36,13 @@ class Looks:
 
     def of_rest(self) -> Watch:
         """Of the scene at rest."""
-        return Watch(self._every_s, lambda rest, seconds: self._look(DynamicModel(rest), seconds))
+        return Watch(self._every_s, lambda rest, seconds: self._see(DynamicModel(rest), seconds))
 
     def of_motion(self, rest: RestModel) -> Watch:
         """Of the motion of a scene."""
 
         def look(motion: MotionField, seconds: float) -> None:
-            self._look(DynamicModel(rest, motion), seconds)
+            self._see(DynamicModel(rest, motion), seconds)
 
         return Watch(self._every_s, look)
 
@@ -48,10 +51,14 @@ class Looks:
         seen, self._seen = self._seen, []
         return seen
 
-    def _look(self, model: DynamicModel, seconds: float) -> None:
+    def at(self, render: Render, seconds: float) -> None:
+        """Look at what a model renders after so many seconds of training."""
         scores = [
-            Comparison(render_view(model, camera, time), true).whole().psnr
+            Comparison(render(camera, time), true).whole().psnr
             for (camera, time), true in zip(self._cameras, self._true, strict=True)
         ]
         mean = float(np.mean([s for s in scores if s is not None]))
         self._seen.append({"seconds": round(seconds, 2), "psnr": round(mean, 3)})
+
+    def _see(self, model: DynamicModel, seconds: float) -> None:
+        self.at(partial(render_view, model), seconds)

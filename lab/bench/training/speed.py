@@ -3,22 +3,19 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from devrf.lab.bench.bench_charts import Curve, Panel, chart
+from devrf.lab.bench.bench_charts import chart
 from devrf.lab.bench.bench_rows import Row
+from devrf.lab.bench.training.measured import AXES, Measured, panels, pareto
 from devrf.lab.bench.training.progress_views import Looks
 from devrf.lab.bench.training.published import PUBLISHED
-from devrf.lab.bench.training.trainings import Bench, device_name, score_rows
+from devrf.lab.bench.training.trainings import Bench, device_name
 from devrf.pipelines.config.scene import ReconstructConfig
 from devrf.reconstruct.options import Options
 from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
 from devrf.reconstruct.training.train_motion import train_motion
 
-AXES = {"seconds": "seconds of training", "megabytes": "megabytes", "fps": "pictures per second"}
-METRICS = {"psnr": "PSNR of test views, dB", "lpips_vgg": "LPIPS (VGG) of test views"}
-BETTER_LOW = ("seconds", "megabytes")
 GOAL_SHARE = {"cpu": 1 / 8, "cuda": 1 / 15}  # of `reference`'s time, that `fast` may take
 GOAL_LOSS_DB = -0.1
 GOAL_RENDERING = 20.0  # times as many pictures a second as `reference`
@@ -37,26 +34,6 @@ class Case:
     def name(self) -> str:
         """`fast`, or `fast x0.25`."""
         return self.preset if self.effort == 1.0 else f"{self.preset} x{self.effort:g}"
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What one way came to; `looks` are at a few test views, on the way there."""
-
-    case: Case
-    result: dict[str, Any]
-    looks: list[dict[str, float]]
-    seconds: float
-
-    @property
-    def psnr(self) -> float:
-        """Of all test views, at the end, dB."""
-        return self.result["test"]["psnr"]
-
-    def on(self, axis: str) -> float:
-        """Its place on an axis of the chart."""
-        at = {"seconds": self.seconds, "megabytes": self.result["model_mb"], "fps": self.result["render_fps"]}
-        return at[axis]
 
 
 def run_speed(
@@ -81,35 +58,20 @@ def run_speed(
         for preset, chosen in presets.items()
         for effort in sorted(efforts)
     ]
-    rows = [row for one in found for row in _rows(one)] + _against_reference(bench, found)
-    front = {axis: [one.case.name for one in pareto(found, axis)] for axis in AXES}
+    rows = [row for one in found for row in one.rows("speed")] + _against_reference(bench, found)
+    front = {axis: [one.name for one in pareto(found, axis)] for axis in AXES}
     for axis, names in front.items():
         bench.run.talk.say(f"not beaten by {axis} ({AXES[axis]}): {', '.join(names)}")
-    panels = [
-        [Panel(_curves(metric, axis, found), x_label, y_label, log=True) for axis, x_label in AXES.items()]
-        for metric, y_label in METRICS.items()
-        if all(one.result["test"][metric] is not None for one in found)
-    ]
     title = f"{bench.run.config.name}, {device_name(bench.run.device)}"
-    drawn = chart(json_path.with_suffix(".png"), panels, title, sharey="row", sharex="col")
+    drawn = chart(json_path.with_suffix(".png"), panels(found), title, sharey="row", sharex="col")
     about = {
         "front": front,
         "set": {name: chosen.model_dump(exclude_none=True) for name, chosen in presets.items()},
-        "curves": {one.case.name: one.looks for one in found},
+        "curves": {one.name: one.looks for one in found},
         "published": [vars(row) for row in PUBLISHED],
     }
     title, seeds = f"Speed and accuracy, {bench.run.config.name}", [bench.run.config.reconstruct.seed]
     return bench.publish(title, rows, json_path, seeds, drawn, benchmark="speed", **about)
-
-
-def pareto(found: Sequence[Measured], axis: str) -> list[Measured]:
-    """Those that no other beats in PSNR without being worse on the axis, from best to worst PSNR."""
-    sign = 1.0 if axis in BETTER_LOW else -1.0
-    best: list[Measured] = []
-    for one in sorted(found, key=lambda one: (sign * one.on(axis), -one.psnr)):
-        if not best or one.psnr > best[-1].psnr:
-            best.append(one)
-    return best[::-1]
 
 
 def options_of(bench: Bench, case: Case) -> Options:
@@ -143,22 +105,12 @@ def _measure(bench: Bench, case: Case, every_s: float) -> Measured:
     before = rest.metrics["seconds"]
     later = [look | {"seconds": round(before + look["seconds"], 2)} for look in result.get("looks", [])]
     seconds = before + result["train"]["seconds"]
-    return Measured(case, result, [*rest.metrics.get("looks", []), *later], seconds)
-
-
-def _rows(one: Measured) -> list[Row]:
-    name = f"speed/{one.case.name}"
-    return [
-        *score_rows(name, [one.result])[:-1],  # without the seconds of the motion alone
-        Row(f"{name}/seconds", one.seconds, "s"),
-        Row(f"{name}/megabytes", one.result["model_mb"], "MB"),
-        Row(f"{name}/render_fps", one.result["render_fps"], "pictures/s"),
-    ]
+    return Measured(case.name, result, [*rest.metrics.get("looks", []), *later], seconds)
 
 
 def _against_reference(bench: Bench, found: Sequence[Measured]) -> list[Row]:
     """Every case beside `reference`; the goals are for `fast` in full."""
-    by_name = {one.case.name: one for one in found}
+    by_name = {one.name: one for one in found}
     reference = by_name.get(REFERENCE)
     if reference is None:
         return []
@@ -174,18 +126,3 @@ def _against_reference(bench: Bench, found: Sequence[Measured]) -> list[Row]:
             Row(f"speed/{name} of reference/render_fps", faster, "").at_least(goals[2]),
         ]
     return rows
-
-
-def _curves(metric: str, axis: str, found: Sequence[Measured]) -> list[Curve]:
-    """Our cases on an axis; with PSNR also how they got there, those not beaten as a line, and published ones."""
-    curves = [Curve(one.case.name, [(one.on(axis), one.result["test"][metric])], "result") for one in found]
-    if metric != "psnr":
-        return curves
-    if axis == "seconds":
-        for one in found:
-            way = [(look["seconds"], look["psnr"]) for look in one.looks if look["seconds"] > 0]
-            curves.append(Curve(one.case.name, way, "way"))
-    front = [(one.on(axis), one.psnr) for one in pareto(found, axis)]
-    others = [(row.name, getattr(row, axis), row.psnr) for row in PUBLISHED]
-    published = [Curve(name, [(at, psnr)], "published") for name, at, psnr in others if at is not None]
-    return [*curves, Curve("not beaten", front, "front"), *published]

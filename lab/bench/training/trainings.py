@@ -32,7 +32,7 @@ from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.pipelines.terminal.exit_codes import DONE
 from devrf.reconstruct import recipe
-from devrf.reconstruct.evaluation.evaluate import METRICS, LpipsNets, evaluate
+from devrf.reconstruct.evaluation.evaluate import METRICS, LpipsNets, Render, evaluate
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
 from devrf.reconstruct.rendering.model import render_view
@@ -100,7 +100,7 @@ class Bench:
             save_rest(file, model)
             return model.metrics | ({"looks": looks.taken()} if looks is not None else {})
 
-        metrics = self._once(options.seed, "rest", self._fingerprint(options), train)
+        metrics = self.once(options.seed, "rest", self.fingerprint(options), train)
         # Always as read from the file: the same whether it was trained now or before.
         return replace(load_rest(file, self.run.device), metrics=metrics)
 
@@ -140,17 +140,18 @@ class Bench:
             model_mb = sum(f.stat().st_size for f in (*files, self._rest_file(options.seed))) / 1e6
             for file in files:
                 file.unlink()  # a gigabyte each at the published size
-            # Without the held-out pictures at rest: the moving views are what is compared.
-            moving_only = replace(scene, static=tuple(f for f in scene.static if f.split == "train"))
-            scores = evaluate(moving_only, partial(render_view, model), self.lpips, folder)
-            result = {
-                k: scores[k] for k in ("test", "test_moving", "test_rest", "static_baseline", "render_fps")
-            }
+            result = self.scores(scene, partial(render_view, model), folder)
             result |= {"train": {k: v for k, v in facts.items() if k != "curve"}, "model_mb": model_mb}
             return result | ({"looks": looks.taken()} if looks is not None else {})
 
-        of = self._fingerprint(options, rest.metrics.get("of"), cameras)
-        return self._once(options.seed, name, of, train)
+        of = self.fingerprint(options, rest.metrics.get("of"), cameras)
+        return self.once(options.seed, name, of, train)
+
+    def scores(self, scene: Scene, render: Render, folder: Path) -> dict[str, Any]:
+        """`evaluate`'s blocks of what is compared: the moving views, not the pictures at rest that were held out."""
+        moving_only = replace(scene, static=tuple(f for f in scene.static if f.split == "train"))
+        found = evaluate(moving_only, render, self.lpips, folder)
+        return {k: found[k] for k in ("test", "test_moving", "test_rest", "static_baseline", "render_fps")}
 
     def publish(
         self,
@@ -164,7 +165,7 @@ class Bench:
         """Print the rows, and write them with what they are of."""
         return publish(self.run.talk, title, rows, path, chart, **more, **about(self, seeds))
 
-    def _once(
+    def once(
         self, seed: int, name: str, of: str, train: Callable[[Checkpoint, Progress], dict[str, Any]]
     ) -> dict[str, Any]:
         """What a training measures, now or when it was made before with the same fingerprint `of`."""
@@ -183,10 +184,11 @@ class Bench:
     def _rest_file(self, seed: int) -> Path:
         return self.out / f"seed{seed}" / "rest" / "model.safetensors"
 
-    def _fingerprint(self, *parts: Any) -> str:
+    def fingerprint(self, *parts: Any) -> str:
+        """Of the scene, its flow, the code that trains, and what else decides a training."""
         stamps = [(self.run.run_dir / name / STAMP).read_text() for name in ("scene", "flow")]
         plain = [asdict(p) if isinstance(p, (CanonicalOptions, MotionOptions)) else p for p in parts]
-        code = code_version("capture", "flow", "reconstruct", "lab/bench/training")
+        code = code_version("capture", "flow", "reconstruct", "lab/bench/training", "lab/methods")
         return hashlib.sha256(json.dumps([plain, stamps, code, self.run.device]).encode()).hexdigest()
 
 

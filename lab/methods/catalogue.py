@@ -1,0 +1,73 @@
+"""The methods by name, and what is known of each where it was published."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:  # a command that lists names does not need torch
+    from devrf.lab.methods.protocol import Method
+
+Regime = Literal["joint", "two-stage", "dynamic"]
+"""What is trained on: sweep and moving cameras together; first the sweep, then the moving cameras; the latter alone."""
+
+Size = Literal["small", "full"]
+"""Widths: reduced for a CPU, or those that were published."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A method.
+
+    Attributes:
+        about: In a few words.
+        module, name: Where it is; imported when it is asked for.
+        paper: Where it was published.
+        parameters: Of the published networks, millions, for a scene of few moments; None: it depends on the scene.
+    """
+
+    about: str
+    module: str
+    name: str
+    paper: str
+    parameters: float | None = None
+
+    def load(self) -> "Method":
+        """The method itself."""
+        return getattr(import_module(f"devrf.lab.methods.{self.module}"), self.name)
+
+
+METHODS: dict[str, Entry] = {
+    "d-nerf": Entry(
+        "a network moves points to a canonical NeRF", "d_nerf", "METHOD", "Pumarola et al., CVPR 2021", 1.1
+    ),
+    "nerfies": Entry(
+        "a field of rigid motions, coarse to fine", "nerfies", "METHOD", "Park et al., ICCV 2021", 0.7
+    ),
+    "hyper-nerf": Entry(
+        "Nerfies with a template in five dimensions",
+        "hyper_nerf",
+        "METHOD",
+        "Park et al., SIGGRAPH Asia 2021",
+        0.8,
+    ),
+    "nsff": Entry(
+        "a field in four dimensions with scene flow", "nsff", "METHOD", "Li et al., CVPR 2021", 1.2
+    ),
+    "neural-volumes": Entry(
+        "a decoder of a volume and its warps", "neural_volumes", "METHOD", "Lombardi et al., SIGGRAPH 2019"
+    ),
+    "hex-plane": Entry(
+        "products of planes of space and time", "planes", "HEX_PLANE", "Cao and Johnson, CVPR 2023"
+    ),
+    "k-planes": Entry(
+        "products of all planes, at several resolutions",
+        "planes",
+        "K_PLANES",
+        "Fridovich-Keil et al., CVPR 2023",
+    ),
+    "gaussians": Entry("Gaussians that a network moves", "gaussians", "METHOD", "Yang et al., CVPR 2024"),
+    "devrf-tiny": Entry("DeVRF, preset tiny", "devrf", "TINY", "Liu et al., NeurIPS 2022"),
+    "devrf-fast": Entry("DeVRF, preset fast", "devrf", "FAST", "Liu et al., NeurIPS 2022"),
+    "devrf-reference": Entry("DeVRF, preset reference", "devrf", "REFERENCE", "Liu et al., NeurIPS 2022"),
+}
+OURS = "devrf-fast"  # whose quality the others are timed to reach

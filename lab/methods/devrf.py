@@ -1,0 +1,84 @@
+"""DeVRF itself: the scene at rest from the sweep, then its motion, by one of the presets."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32
+
+from devrf.capture.camera import Camera
+from devrf.lab.methods.catalogue import Regime
+from devrf.lab.methods.protocol import Budget, Task
+from devrf.reconstruct import recipe
+from devrf.reconstruct.fields.canonical_model import RestModel
+from devrf.reconstruct.fields.motion import MotionField
+from devrf.reconstruct.rendering.model import DynamicModel, render_layers, render_view
+from devrf.reconstruct.storage.model_io import save_deformation, save_rest
+from devrf.reconstruct.storage.watch import Watch
+from devrf.reconstruct.training.loop import TrainingRun
+
+
+@dataclass(frozen=True)
+class TrainedDevrf:
+    """A model that renders."""
+
+    model: DynamicModel
+
+    @property
+    def megabytes(self) -> float:
+        """Of its files."""
+        with tempfile.TemporaryDirectory() as folder:
+            rest = Path(folder) / "rest.safetensors"
+            save_rest(rest, self.model.rest)
+            files = [rest, *save_deformation(Path(folder), self.model)]
+            return sum(file.stat().st_size for file in files) / 1e6
+
+    def render(
+        self, camera: Camera, time: float | None
+    ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
+        """Colours, and distances along rays."""
+        return render_view(self.model, camera, time), render_layers(self.model, camera, time)[1]
+
+
+@dataclass(frozen=True)
+class DevrfMethod:
+    """One of the presets; it ends when it is done and is cut short by nothing.
+
+    Attributes:
+        preset: Its name.
+    """
+
+    preset: str
+    regimes: tuple[Regime, ...] = ("joint", "two-stage")
+
+    def why_not(self, task: Task) -> str | None:
+        """It can do every task that has a sweep."""
+        return None
+
+    def train(self, task: Task, budget: Budget) -> TrainedDevrf:
+        """Train it."""
+        options = task.options(self.preset)
+        before = 0.0
+
+        def look(model: DynamicModel, seconds: float) -> None:
+            budget.look(TrainedDevrf(model), before + seconds)
+
+        every = budget.seconds / 20
+        at_rest = Watch(every, lambda rest, seconds: look(DynamicModel(rest), seconds))
+        run = TrainingRun(task.device, budget.progress)
+        rest: RestModel = recipe.canonical(
+            task.scene, options.canonical, TrainingRun(task.device, budget.progress, run.checkpoint, at_rest)
+        )
+        before = float(rest.metrics["seconds"])
+
+        def in_motion(motion: MotionField, seconds: float) -> None:
+            look(DynamicModel(rest, motion), seconds)
+
+        training = TrainingRun(task.device, budget.progress, run.checkpoint, Watch(every, in_motion))
+        model, metrics = recipe.motion(task.scene, rest, task.flows, options.motion, training, task.estimator)
+        look(model, float(metrics["seconds"]))
+        return TrainedDevrf(model)
+
+
+TINY, FAST, REFERENCE = (DevrfMethod(preset) for preset in ("tiny", "fast", "reference"))

@@ -1,0 +1,137 @@
+"""Nerfies (Park et al., ICCV 2021): a field of rigid motions, elastic, sharpened from coarse to fine.
+
+Published: a template of 8 layers of 256, a deformation network of 6 of 128 with 8 frequencies, codes of 8 numbers for
+deformation and appearance (Section 4); elastic loss of weight 1e-3 on the logarithms of singular values with Geman
+and McClure's robust loss, c = 0.03 (Eq. 6 and 7); the window opens over 80,000 of 1,000,000 steps, here over the same
+share of the budget as of a short training (`WINDOW`). Points that stand are told to stay (their Section 3.4) where the
+sweep saw them.
+"""
+
+import kornia
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from devrf.lab.methods.catalogue import Size
+from devrf.lab.methods.field import Field, FieldMethod, FieldTraining, Points, Rendered, Seen, Settings
+from devrf.lab.methods.networks import Codes, Encoding, Mlp, RadianceMlp
+from devrf.lab.methods.pictures import Rays
+
+SETTINGS = {
+    "small": Settings(rays=512, samples=(24, 24), rate=2e-3, last_rate=2e-4),
+    "full": Settings(rays=6144, samples=(128, 128), rate=1e-3, last_rate=1e-4),
+}
+TEMPLATE = {"small": (4, 96), "full": (8, 256)}  # depth and width
+WARP = {"small": (4, 64), "full": (6, 128)}
+CODE = 8
+WARP_FREQUENCIES = 8
+WINDOW = 0.4  # of the budget until all frequencies of the deformation count
+ELASTIC, ROBUST = 1e-3, 0.03
+STAYS = 1.0  # weight of the loss by which what stands stays
+ELASTIC_POINTS = 256  # of a batch: each costs three more passes backward
+
+
+class RigidWarp(nn.Module):
+    """A rigid motion at every place (their Eq. 2 to 4)."""
+
+    def __init__(self, size: Size, moments: Float[Tensor, " t"]) -> None:
+        super().__init__()
+        depth, width = WARP[size]
+        self.codes, self.place = Codes(moments, CODE), Encoding(3, WARP_FREQUENCIES)
+        self.motion = Mlp(self.place.size + CODE, 6, depth, width, small=1e-4)
+
+    def forward(self, x: Float[Tensor, "n 3"], code: Float[Tensor, "n c"]) -> Float[Tensor, "n 3"]:
+        """Where points at `x` come from."""
+        return moved(x, self.motion(torch.cat([self.place(x), code], 1)))
+
+    def advance(self, share: float) -> None:
+        """Open the window."""
+        self.place.alpha = WARP_FREQUENCIES * min(1.0, share / WINDOW)
+
+
+def moved(x: Float[Tensor, "n 3"], screw: Float[Tensor, "n 6"]) -> Float[Tensor, "n 3"]:
+    """Points after screw motions: rotation vectors r and v with x' = exp(r) x + G(r) v (Lynch and Park 2017)."""
+    r, v = screw[:, :3], screw[:, 3:]
+    angle = r.norm(dim=1, keepdim=True).clamp(min=1e-6)
+    rotation = kornia.geometry.conversions.axis_angle_to_rotation_matrix(r)
+    cross, twice = torch.linalg.cross(r, v), torch.linalg.cross(r, torch.linalg.cross(r, v))
+    along = v + (1 - angle.cos()) / angle**2 * cross + (angle - angle.sin()) / angle**3 * twice
+    return (rotation @ x[..., None])[..., 0] + along
+
+
+def elastic(jacobian: Float[Tensor, "n 3 3"]) -> Float[Tensor, " n"]:
+    """Squared logarithms of a motion's singular values, robust: 0 for rotations (Eq. 6 and 7)."""
+    singular = torch.linalg.svdvals(jacobian).clamp(min=1e-6)
+    square = (singular.log() ** 2).sum(1) / ROBUST**2
+    return 2 * square / (square + 4)
+
+
+class Nerfies(Field):
+    """A template and rigid motions to it."""
+
+    def __init__(self, size: Size, moments: Float[Tensor, " t"]) -> None:
+        super().__init__()
+        depth, width = TEMPLATE[size]
+        self.warp = RigidWarp(size, moments)
+        self.appearance = Codes(moments, CODE)
+        self.place, self.direction = Encoding(3, 10), Encoding(3, 4)
+        self.canonical = RadianceMlp(
+            self.place.size + self.slices(), depth, width, self.direction.size + CODE
+        )
+
+    def slices(self) -> int:
+        """Channels of what the template is told beside the place."""
+        return 0
+
+    def forward(self, points: Points) -> Seen:
+        """Density and colour where points come from."""
+        moves = 1 - points.rest[:, None]
+        code = self.warp.codes(points.time)
+        x = torch.lerp(points.x, self.warp(points.x, code), moves)
+        look = torch.cat([self.direction(points.d), self.appearance(points.time) * moves], 1)
+        density, rgb, _ = self.canonical(torch.cat([self.place(x), *self.beside(points, code)], 1), look)
+        return Seen(nn.functional.softplus(density - 1), rgb, {})
+
+    def beside(self, points: Points, code: Float[Tensor, "n c"]) -> list[Tensor]:
+        """What the template is told beside the place."""
+        return []
+
+    def losses(self, field: FieldTraining, rays: Rays, seen: Rendered) -> dict[str, Tensor]:
+        """Elastic where something is seen; what stands stays."""
+        moving = ~rays.rest
+        if not bool(moving.any()):
+            return {}
+        weight, time = seen.weights[moving].detach(), rays.time[moving]
+        n = weight.shape[1]
+        picked = torch.multinomial(weight.reshape(-1) + 1e-9, ELASTIC_POINTS, True)
+        x = seen.x[moving].reshape(-1, 3)[picked].detach().requires_grad_()
+        code = self.warp.codes(time[picked // n])
+        there = self.warp(x, code)
+        columns = [torch.autograd.grad(there[:, k].sum(), x, create_graph=True)[0] for k in range(3)]
+        return {"elastic": ELASTIC * elastic(torch.stack(columns, 1)).mean()} | self._stays(field)
+
+    def _stays(self, field: FieldTraining) -> dict[str, Tensor]:
+        """Points of the sweep that no training camera sees change stay where they are."""
+        points = field.task.boxed.points
+        if points is None or field.task.regime == "dynamic":
+            return {}
+        pick = torch.randint(len(points.xyz), (ELASTIC_POINTS,), generator=field.generator).numpy()
+        xyz = torch.from_numpy(points.xyz[pick]).float().to(field.task.device)
+        outside = ((xyz < field.space.low) | (xyz > field.space.high)).any(1)
+        x = field.space.contracted(xyz[outside])
+        if not len(x):
+            return {}
+        moments = field.pictures.moments
+        when = moments[torch.randint(len(moments), (len(x),), generator=field.generator)]
+        return {"stays": STAYS * (self.warp(x, self.warp.codes(when)) - x).pow(2).sum(1).mean()}
+
+    def advance(self, share: float) -> None:
+        """Open the window of the deformation."""
+        self.warp.advance(share)
+
+    def still(self) -> list[nn.Parameter]:
+        """The template."""
+        return list(self.canonical.parameters())
+
+
+METHOD = FieldMethod(lambda task, pictures: Nerfies(task.size, pictures.moments), SETTINGS)

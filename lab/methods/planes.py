@@ -1,0 +1,126 @@
+"""Explicit factors of space and time: HexPlane (Cao and Johnson, CVPR 2023), K-Planes (Fridovich-Keil et al., 2023).
+
+A place at a time is projected onto six planes, three of space and three of space and time. HexPlane multiplies the
+features of planes that complement each other and joins the three products; K-Planes multiplies all six, at several
+resolutions, and joins these. A small network turns features into density and colour. Losses of K-Planes (Section
+3.3): total variation in space, no jerks in time, and little that depends on time.
+"""
+
+from itertools import combinations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from devrf.lab.methods.catalogue import Size
+from devrf.lab.methods.field import Field, FieldMethod, FieldTraining, Points, Rendered, Seen, Settings
+from devrf.lab.methods.networks import Encoding
+from devrf.lab.methods.pictures import Pictures, Rays
+from devrf.lab.methods.protocol import Task
+
+SETTINGS = {
+    "small": Settings(rays=1024, samples=(32, 32), rate=2e-2, last_rate=1e-3),
+    "full": Settings(rays=4096, samples=(64, 64), rate=1e-2, last_rate=1e-4),
+}
+GRIDS: dict[str, tuple[tuple[int, ...], int]] = {
+    "small": ((32, 64, 128), 12),
+    "full": ((64, 128, 256, 512), 32),
+}
+HIDDEN = 64
+PAIRS = tuple(combinations(range(4), 2))  # of x, y, z, t; those with t are 2, 4 and 5
+IN_TIME = tuple(n for n, pair in enumerate(PAIRS) if 3 in pair)
+OPPOSITE = ((0, 5), (1, 4), (3, 2))  # planes that complement each other: xy and zt, xz and yt, yz and xt
+VARIATION, JERKS, CHANGES = 2e-4, 1e-3, 1e-4
+
+
+class Planes(Field):
+    """Six planes at each resolution."""
+
+    def __init__(self, size: Size, moments: Float[Tensor, " t"], rest_time: float, hex_plane: bool) -> None:
+        super().__init__()
+        self.hex_plane, self.rest_time = hex_plane, rest_time
+        sides, channels = GRIDS[size]
+        if hex_plane:
+            sides, channels = sides[-1:], channels * len(sides)
+        keys = max(2, len(moments))
+        self.levels = nn.ModuleList()
+        for side in sides:
+            of_level = nn.ParameterList()
+            for n, (_, second) in enumerate(PAIRS):
+                plane = torch.empty(1, channels, keys if second == 3 else side, side)
+                of_level.append(nn.Parameter(plane.fill_(1) if n in IN_TIME else plane.uniform_(0.1, 0.5)))
+            self.levels.append(of_level)
+        joined = channels * (len(OPPOSITE) if hex_plane else len(sides))
+        self.direction = Encoding(3, 4)
+        self.density = nn.Sequential(nn.Linear(joined, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 16))
+        self.colour = nn.Sequential(
+            nn.Linear(15 + self.direction.size, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, 3),
+            nn.Sigmoid(),
+        )
+
+    def forward(self, points: Points) -> Seen:
+        """Density and colour at a time; at rest, at the time of rest."""
+        time = torch.where(points.rest > 0, self.rest_time, points.time)
+        place = torch.cat([points.x, 2 * time[:, None] - 1], 1)
+        found = [self._level(planes, place) for planes in self.levels]
+        h = self.density(torch.cat(found, 1))
+        rgb = self.colour(torch.cat([h[:, 1:], self.direction(points.d)], 1))
+        return Seen(nn.functional.softplus(10 * h[:, 0] - 1), rgb, {})
+
+    def _level(self, planes: nn.ParameterList, place: Float[Tensor, "n 4"]) -> Float[Tensor, "n c"]:
+        each = [sampled(plane, place[:, list(pair)]) for plane, pair in zip(planes, PAIRS, strict=True)]
+        if self.hex_plane:
+            return torch.cat([each[a] * each[b] for a, b in OPPOSITE], 1)
+        return torch.stack(each).prod(0)
+
+    def losses(self, field: FieldTraining, rays: Rays, seen: Rendered) -> dict[str, Tensor]:
+        """Even in space, without jerks in time, mostly at rest."""
+        return self.regularised()
+
+    def regularised(self) -> dict[str, Tensor]:
+        """The losses, which depend on the planes alone."""
+        variation, jerks, changes = [], [], []
+        for planes in self.levels:
+            for n, plane in enumerate(planes):
+                variation.append(plane.diff(dim=3).square().mean())
+                if n in IN_TIME:
+                    jerks.append(
+                        plane.diff(dim=2).diff(dim=2).square().mean()
+                        if plane.shape[2] > 2
+                        else plane.new_zeros(())
+                    )
+                    changes.append((1 - plane).abs().mean())
+                else:
+                    variation.append(plane.diff(dim=2).square().mean())
+        return {
+            "variation": VARIATION * torch.stack(variation).sum(),
+            "jerks": JERKS * torch.stack(jerks).sum(),
+            "changes": CHANGES * torch.stack(changes).sum(),
+        }
+
+    def still(self) -> list[nn.Parameter]:
+        """Planes of space and the networks."""
+        planes = [p for of in self.levels for n, p in enumerate(of) if n not in IN_TIME]
+        return [*planes, *self.density.parameters(), *self.colour.parameters()]
+
+
+def sampled(plane: Float[Tensor, "1 c h w"], at: Float[Tensor, "n 2"]) -> Float[Tensor, "n c"]:
+    """Features of a plane at places in [-1, 1], bilinear."""
+    found = nn.functional.grid_sample(plane, at[None, None], align_corners=True, padding_mode="border")
+    return found[0, :, 0].T
+
+
+def method(hex_plane: bool) -> FieldMethod:
+    """One of both."""
+
+    def make(task: Task, pictures: Pictures) -> Planes:
+        return Planes(task.size, pictures.moments, pictures.rest_time, hex_plane)
+
+    return FieldMethod(make, SETTINGS)
+
+
+HEX_PLANE, K_PLANES = method(True), method(False)

@@ -1,0 +1,149 @@
+"""Every method takes a step, has gradients that are right, is as large as published, and learns a small scene."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tests.lab.methods.conftest import MakeTask
+
+from devrf.capture.scene import load_image
+from devrf.lab.methods.catalogue import METHODS
+from devrf.lab.methods.d_nerf import DNerf
+from devrf.lab.methods.field import FieldMethod, FieldTraining
+from devrf.lab.methods.pictures import Pictures
+from devrf.lab.methods.protocol import Budget, Trained
+from devrf.reconstruct.evaluation.metrics import psnr
+
+OTHERS = [name for name in METHODS if not name.startswith("devrf")]
+FIELDS = [name for name in OTHERS if name != "gaussians"]
+LONG_S = 600.0  # more than the steps of a test take
+
+
+@pytest.mark.parametrize("regime", ["joint", "two-stage", "dynamic"])
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_few_steps(name: str, regime: Any, task: MakeTask) -> None:
+    seen: list[float] = []
+    budget = Budget(LONG_S, lambda model, seconds: seen.append(seconds), steps=2)
+    model = METHODS[name].load().train(task(regime), budget)
+    camera = task().boxed.dynamic[0].camera
+    for time in (None, 0.5):
+        rgb, depth = model.render(camera, time)
+        assert rgb.shape == (32, 32, 3) and depth.shape == (32, 32) and rgb.dtype == np.float32
+        assert 0 <= rgb.min() <= rgb.max() <= 1 and np.isfinite(depth).all() and depth.max() < 10
+    assert seen == sorted(seen) and len(seen) == 2 and model.megabytes > 0.01
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_gradients_are_what_differences_say(name: str, task: MakeTask) -> None:
+    """Of the whole loss, along a random direction of all parameters; in double precision."""
+    method = METHODS[name].load()
+    assert isinstance(method, FieldMethod)
+    torch.manual_seed(1)
+    pictures = Pictures(task())
+    # Where samples are drawn again is no part of the loss, and would move with the parameters.
+    settings = replace(method.settings["small"], samples=(16, 0))
+    training = FieldTraining(task(), method.make(task(), pictures), pictures, settings)
+    field = training.field.double()
+    field.advance(0.7)
+    parameters = [p for p in field.parameters() if p.requires_grad]
+    with torch.no_grad():
+        for p in parameters:
+            p += 1e-3 * torch.randn_like(p)
+    drawn = pictures.draw(24, torch.Generator().manual_seed(0), 0.5, field.one_moment)
+    rays = type(drawn)(**{k: v.double() if v.is_floating_point() else v for k, v in vars(drawn).items()})
+    training.space = type(training.space)(
+        *(x.double() if isinstance(x, torch.Tensor) else x for x in vars(training.space).values())
+    )
+
+    def loss() -> torch.Tensor:
+        training.generator.manual_seed(0)
+        torch.manual_seed(2)
+        return training.loss(rays)
+
+    loss().backward()
+    ways = [torch.randn_like(p) if p.grad is not None else torch.zeros_like(p) for p in parameters]
+    along = sum(
+        float((p.grad * way).sum()) for p, way in zip(parameters, ways, strict=True) if p.grad is not None
+    )
+    values = []
+    for sign in (1, -1):
+        with torch.no_grad():
+            for p, way in zip(parameters, ways, strict=True):
+                p += sign * 1e-6 * way
+        values.append(float(loss()))
+        with torch.no_grad():
+            for p, way in zip(parameters, ways, strict=True):
+                p -= sign * 1e-6 * way
+    assert along == pytest.approx((values[0] - values[1]) / 2e-6, rel=2e-2, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", [n for n in OTHERS if METHODS[n].parameters is not None])
+def test_as_large_as_published(name: str, task: MakeTask) -> None:
+    method = METHODS[name].load()
+    assert isinstance(method, FieldMethod)
+    full = type(task())(**(vars(task()) | {"size": "full"}))
+    millions = sum(p.numel() for p in method.make(full, Pictures(full)).parameters()) / 1e6
+    assert millions == pytest.approx(METHODS[name].parameters, rel=0.1)
+
+
+def test_networks_of_d_nerf_are_those_of_nerf() -> None:
+    """NeRF's fine network has 595,844 parameters; this one has a layer fewer between trunk and colour."""
+    canonical = DNerf("full").canonical
+    assert 0.95 < sum(p.numel() for p in canonical.parameters()) / 595_844 < 1.05
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_small_scene_is_learned(name: str, task: MakeTask) -> None:
+    """Training views of 32 x 32 pixels, three moments, two cameras, to 30 dB."""
+    model = METHODS[name].load().train(task("dynamic"), Budget(LONG_S, steps=STEPS[name]))
+    assert _mean_psnr(model, task) >= 30
+
+
+STEPS = dict.fromkeys(OTHERS, 800)
+
+
+def _mean_psnr(model: Trained, task: MakeTask) -> float:
+    scene, found = task().boxed, []
+    for frame in scene.dynamic:
+        if frame.split == "train":
+            true = load_image(frame, scene.image_scale, scene.background).astype(np.float32) / 255
+            found.append(psnr(model.render(frame.camera.scaled(scene.image_scale), frame.time)[0], true))
+    return float(np.mean([f for f in found if f is not None]))
+
+
+def test_names_lead_to_methods() -> None:
+    for name, entry in METHODS.items():
+        assert entry.about and entry.paper and {"joint"} <= set(entry.load().regimes), name
+
+
+def test_bench_methods(devrf: Any, arm: Path, tmp_path: Path) -> None:
+    """Two methods, a few steps each: rows, chart, pictures; nothing is trained twice."""
+    command = ("bench", "methods", arm, "--methods", "d-nerf,k-planes", "--steps", "3", "--seconds", "60",
+               "--device", "cpu", "--out", str(tmp_path / "out"))  # fmt: skip
+    done = devrf(*command)
+    assert done.code == 0, done.said[-2000:]
+    assert "methods/d-nerf/test/psnr" in done.said and "31.83" in done.said  # the paper's beside ours
+    assert (tmp_path / "out" / "methods.png").is_file() and (
+        tmp_path / "out" / "methods-pictures.png"
+    ).is_file()
+    again = devrf(*command)
+    assert again.code == 0 and "seed 0: d-nerf" not in again.said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--methods", "nerf"), "unknown, expected d-nerf"),
+        (("--methods", "devrf-tiny", "--regime", "dynamic"), "has joint, two-stage"),
+        (("--regime", "still"), "'still' is not one of"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(
+    devrf: Any, arm: Path, tmp_path: Path, arguments: Any, named: str
+) -> None:
+    done = devrf("bench", "methods", arm, *arguments, "--device", "cpu", "--out", str(tmp_path / "out"))
+    assert done.code == 2 and named in done.said
