@@ -16,7 +16,7 @@ from devrf.lab.bench.arguments import (
     of_a_scene,
 )
 from devrf.lab.bench.training.ablation_variants import VARIANTS
-from devrf.lab.methods.catalogue import METHODS, OURS, Regime, Size
+from devrf.lab.methods.method_table import METHODS, OURS, Regime, Size
 from devrf.pipelines.terminal.shared_options import configured
 from devrf.reconstruct.options import PresetName
 

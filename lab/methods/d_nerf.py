@@ -7,8 +7,8 @@ samples evenly and 128 more, 500 rays a step. What is at rest is not moved (thei
 import torch
 from torch import nn
 
-from devrf.lab.methods.catalogue import Size
 from devrf.lab.methods.field import Field, FieldMethod, Points, Seen, Settings
+from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding, Mlp, RadianceMlp
 
 SETTINGS = {

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from devrf.capture.camera import Camera
-from devrf.lab.methods.catalogue import Regime
+from devrf.lab.methods.method_table import Regime
 from devrf.lab.methods.protocol import Budget, Task
 from devrf.reconstruct import recipe
 from devrf.reconstruct.fields.canonical_model import RestModel

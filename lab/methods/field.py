@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from devrf.capture.camera import Camera
 from devrf.capture.system.errors import ReconstructError
-from devrf.lab.methods.catalogue import Regime, Size
 from devrf.lab.methods.clock import Clock
+from devrf.lab.methods.method_table import Regime, Size
 from devrf.lab.methods.pictures import Pictures, Rays, Space
 from devrf.lab.methods.protocol import Budget, Task
 from devrf.reconstruct.rendering.rays import camera_rays

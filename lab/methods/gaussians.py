@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from devrf.capture.camera import Camera
 from devrf.capture.system.errors import ReconstructError
-from devrf.lab.methods.catalogue import Regime
 from devrf.lab.methods.clock import Clock
+from devrf.lab.methods.method_table import Regime
 from devrf.lab.methods.networks import Encoding, Mlp
 from devrf.lab.methods.pictures import Pictures, Space
 from devrf.lab.methods.protocol import Budget, Task

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.lab.methods.catalogue import Size
 from devrf.lab.methods.field import FieldMethod, Points
+from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.nerfies import CODE, SETTINGS, Nerfies
 from devrf.lab.methods.networks import Encoding, Mlp
 

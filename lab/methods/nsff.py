@@ -10,7 +10,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from devrf.lab.methods.catalogue import Size
 from devrf.lab.methods.field import (
     Field,
     FieldMethod,
@@ -21,6 +20,7 @@ from devrf.lab.methods.field import (
     Settings,
     quadrature,
 )
+from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding, Mlp, RadianceMlp
 from devrf.lab.methods.pictures import Rays
 

@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from devrf.lab.methods.catalogue import Size
 from devrf.lab.methods.field import Field, FieldMethod, FieldTraining, Points, Rendered, Seen, Settings
+from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding
 from devrf.lab.methods.pictures import Pictures, Rays
 from devrf.lab.methods.protocol import Task

@@ -13,7 +13,7 @@ from devrf.capture.scene import Scene
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
-from devrf.lab.methods.catalogue import Regime, Size
+from devrf.lab.methods.method_table import Regime, Size
 from devrf.reconstruct.options import Options
 
 

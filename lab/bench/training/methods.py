@@ -17,9 +17,9 @@ from devrf.lab.bench.bench_rows import Row
 from devrf.lab.bench.training.measured import Measured, panels, pareto
 from devrf.lab.bench.training.progress_views import Looks
 from devrf.lab.bench.training.trainings import Bench, device_name, spread
-from devrf.lab.methods.catalogue import METHODS, OURS, Regime, Size
+from devrf.lab.methods.method_table import METHODS, OURS, Regime, Size
+from devrf.lab.methods.paper_table import SYNTHETIC, TABLE_1
 from devrf.lab.methods.protocol import Budget, Method, Task, Trained
-from devrf.lab.methods.published import SYNTHETIC, TABLE_1
 from devrf.pipelines.inputs.flow_clips import flow_estimator
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 

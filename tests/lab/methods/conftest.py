@@ -7,7 +7,7 @@ import pytest
 
 from devrf.capture.formats.datasets import read_dataset
 from devrf.flow.dis import DisFlow
-from devrf.lab.methods.catalogue import Regime
+from devrf.lab.methods.method_table import Regime
 from devrf.lab.methods.protocol import Task
 from devrf.reconstruct.options import preset
 

@@ -1,5 +1,6 @@
 """Every method takes a step, has gradients that are right, is as large as published, and learns a small scene."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,10 @@ import torch
 from tests.lab.methods.conftest import MakeTask
 
 from devrf.capture.scene import load_image
-from devrf.lab.methods.catalogue import METHODS
+from devrf.capture.system.errors import InputError
 from devrf.lab.methods.d_nerf import DNerf
 from devrf.lab.methods.field import FieldMethod, FieldTraining
+from devrf.lab.methods.method_table import METHODS
 from devrf.lab.methods.pictures import Pictures
 from devrf.lab.methods.protocol import Budget, Trained
 from devrf.reconstruct.evaluation.metrics import psnr
@@ -122,6 +124,13 @@ def _mean_psnr(model: Trained, task: MakeTask) -> float:
 def test_names_lead_to_methods() -> None:
     for name, entry in METHODS.items():
         assert entry.about and entry.paper and {"joint"} <= set(entry.load().regimes), name
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "devrf.lab.methods.gaussians", raising=False)
+    monkeypatch.setitem(sys.modules, "kornia", None)
+    with pytest.raises(InputError, match=r"needs kornia.*devrf\[methods\]"):
+        METHODS["gaussians"].load()
 
 
 def test_bench_methods(devrf: Any, arm: Path, tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Literal
 
+from devrf.capture.system.errors import InputError
+
 if TYPE_CHECKING:  # a command that lists names does not need torch
     from devrf.lab.methods.protocol import Method
 
@@ -32,8 +34,16 @@ class Entry:
     parameters: float | None = None
 
     def load(self) -> "Method":
-        """The method itself."""
-        return getattr(import_module(f"devrf.lab.methods.{self.module}"), self.name)
+        """The method itself.
+
+        Raises:
+            InputError: A package that it needs is not installed.
+        """
+        try:
+            return getattr(import_module(f"devrf.lab.methods.{self.module}"), self.name)
+        except ModuleNotFoundError as error:
+            text = f"this method needs {error.name}, which is not installed: python -m pip install 'devrf[methods]'"
+            raise InputError("package-missing", text) from error
 
 
 METHODS: dict[str, Entry] = {

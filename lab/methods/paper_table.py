@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from devrf.lab.methods.catalogue import Regime
+from devrf.lab.methods.method_table import Regime
 
 
 class Published(NamedTuple):
