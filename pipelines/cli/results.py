@@ -42,7 +42,7 @@ def report(
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Rebuild the report of a run folder, and say where it is."""
+    """Rebuild the report of a run folder."""
     talk = talk_of(quiet, verbose)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
     if out is not None:
