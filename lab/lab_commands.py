@@ -31,7 +31,7 @@ def simulate(
             "devrf: more cameras begin with those of fewer"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Another seed, another session or data set")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed")] = 0,
     size: Annotated[
         str | None,
         typer.Option(
@@ -45,7 +45,7 @@ def simulate(
 ) -> None:
     """Render a raw session or a data set with known truth (needs the extra `simulate`).
 
-    A data set that was begun with the same arguments is gone on with; a complete one is left as it is.
+    A data set that was begun with the same arguments is completed; a complete one is left as it is.
     """
     from devrf.lab import simulate_command
 

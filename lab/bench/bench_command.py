@@ -52,7 +52,7 @@ def speed(
         str, typer.Option(help="Shares of each preset's iterations, each a training of its own: 0.25,0.5,1")
     ] = "1",
     every: Annotated[
-        float, typer.Option(min=0.1, help="Seconds of training between two looks, at first")
+        float, typer.Option(min=0.1, help="Seconds of training between two evaluations, initially")
     ] = 5.0,
     set_for: Annotated[
         list[str] | None,

@@ -149,9 +149,13 @@ def batch(
     ] = "local",
     address: Annotated[
         str | None,
-        typer.Option(help="ray: HOST:PORT of the cluster, or auto; default: one of its own on this machine"),
+        typer.Option(
+            help="ray: HOST:PORT of the cluster, or auto; default: a private cluster on this machine"
+        ),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Scenes at once; default: as there is room")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Scenes at once; default: one per GPU, else by cores and memory")
+    ] = None,
     preset: PresetOption = None,
     until: Annotated[str | None, typer.Option(help="Stop every scene after this stage")] = None,
     overrides: SetOption = None,
@@ -178,7 +182,7 @@ def status(
     scene: SceneArgument,
     preset: PresetOption = None,
     overrides: SetOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON")] = False,
 ) -> None:
     """Show each stage: fresh, stale (and why) or missing, its time, its health."""
     talk = Talk()

@@ -37,14 +37,12 @@ def report(
     overrides: SetOption = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="The page as this file, of a run folder that may only be read, too; that one stays as it is"
-        ),
+        typer.Option(help="Write the page to this file instead of the run folder, which may be read-only"),
     ] = None,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Make the report anew from what the run folder holds, and say where it is."""
+    """Rebuild the report of a run folder."""
     talk = talk_of(quiet, verbose)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=False)
     if out is not None:
@@ -79,7 +77,7 @@ def report(
 
 def compare(
     runs: Annotated[
-        list[Path], typer.Argument(help="Run folders, or scene.yaml; the others are held against the first")
+        list[Path], typer.Argument(help="Run folders, or scene.yaml; all are compared with the first")
     ],
     out: Annotated[Path, typer.Option(help="Folder for compare.json")] = Path("compare"),
     as_json: Annotated[
@@ -106,9 +104,7 @@ def view(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to serve")] = 8080,
     allow_host: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Name by which a browser may ask, besides this machine's own: a proxy's (repeatable)"
-        ),
+        typer.Option(help="Additional host name to accept, such as a proxy's (repeatable)"),
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -131,11 +127,12 @@ def render(
         ),
     ] = None,
     time: Annotated[
-        str | None, typer.Option(help="Time stands still at this one: 0 to 1 of the clip, or seconds: 1.2s")
+        str | None,
+        typer.Option(help="Freeze time at this moment: 0 to 1 of the clip, or seconds, such as 1.2s"),
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(help="Length of the film, which shows all of the clip; default: the clip's"),
+        typer.Option(help="Length of the film; the whole clip is stretched to it. Default: the clip's"),
     ] = None,
     fps: Annotated[float | None, typer.Option(help="Pictures a second; default: 24")] = None,
     size: Annotated[str | None, typer.Option(help="WIDTHxHEIGHT; default: by the preset")] = None,
@@ -156,7 +153,7 @@ def render(
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Film the reconstruction: without options the run's own film anew, else a film of its own (docs/film.md)."""
+    """Render a film; without options, render the run's standard film again (docs/film.md)."""
     talk = talk_of(quiet, verbose)
     from devrf.pipelines.film import film_command as command
     from devrf.pipelines.film.film_plan import Asked

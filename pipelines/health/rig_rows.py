@@ -83,8 +83,8 @@ def route_measures(
         doubt = np.hypot(c.position_std or 0.0, unit * np.sqrt(max(np.trace(covariance[3:, 3:]), 0)))
         percent = 100 / max(c.details["median_distance"], 1e-9)
         for what, value, bound, doubt_of in (
-            ("turn, degrees", turn_deg, ROUTES_DEG, doubt_deg),
-            ("place, % of distance", percent * shift, ROUTES_PERCENT, percent * doubt),
+            ("rotation, degrees", turn_deg, ROUTES_DEG, doubt_deg),
+            ("position, % of distance", percent * shift, ROUTES_PERCENT, percent * doubt),
         ):
             warn = max(bound, ROUTES_STDS * float(doubt_of))
             same &= value <= APART * warn

@@ -28,7 +28,7 @@ FOLLOWS = ("sweep-registered", "sweep-points", "sweep-in-parts", "sweep-contradi
 CROP_GONE = 50.0  # as far as that is measured
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 ZOOMED = 0.1  # relative: poses by one focal length are wrong
-MODEL = "what its lens model holds"
+MODEL = "limits of its lens model"
 WIDE_DEG = 110.0  # across; wider lenses need a fisheye's model
 LINKED = 0.2  # of pictures of the same place that share points: fewer leave a loop open
 EXIF_BAD = 15.0  # percent: another crop's equivalent, rather
@@ -120,13 +120,13 @@ def _lenses(model: SweepModel, board: Intrinsics | None, pixel_aspect: float) ->
             percent = 100 * abs(focal / start["focal_px"] - 1)
             crop = CROP if percent > EXIF_BAD else "."
             facts = {"exif_px": start["focal_px"], "found_px": focal, "crop": crop}
-            about = f"EXIF of {start['label']}"
+            about = f"against EXIF of {start['label']}"
             yield Measure("sweep-focal", percent, about, "exif", facts, refuses=False)
     if board is not None:  # no picture of that lens may be in the model
         ids = [s["camera_id"] for s in r["start"] if s["source"] == "board" and s["camera_id"] is not None]
         focals = [found[str(n)] for n in ids]
         off = 100 * abs(focals[0] / board.K[0, 0] - 1) if focals else None
-        yield Measure("sweep-focal", off, "the board")
+        yield Measure("sweep-focal", off, "against the board")
     lenses = list({camera.lens: camera for camera in model.cameras}.values())
     wide = max((field_of_view_deg(c) for c in lenses if c.model == "OPENCV"), default=0.0)
     if wide > WIDE_DEG:
@@ -134,7 +134,7 @@ def _lenses(model: SweepModel, board: Intrinsics | None, pixel_aspect: float) ->
     most = max(lenses, key=lambda camera: oblong(camera, pixel_aspect))
     facts = {"fx": most.K[0, 0], "fy": most.K[1, 1], "aspect": pixel_aspect}
     percent = 100 * oblong(most, pixel_aspect)
-    yield Measure("sweep-focal", percent, "itself, across and down", "oblong", facts, warn=OBLONG)
+    yield Measure("sweep-focal", percent, "horizontal against vertical", "oblong", facts, warn=OBLONG)
     folds = min(fold(c) for c in lenses)
     if folds < 1:
         yield Measure("sweep-focal", f"one-to-one to {100 * folds:.0f} % of the corners", MODEL, "folds")

@@ -24,10 +24,12 @@ SetOption = Annotated[
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu or cuda")]
 UntilOption = Annotated[str | None, typer.Option(help="Stop after this stage")]
 AllowUnhealthyOption = Annotated[
-    bool, typer.Option("--allow-unhealthy", help="Go on where a stage's own check refuses its result")
+    bool, typer.Option("--allow-unhealthy", help="Continue when a stage's check refuses its result")
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Only errors")]
-VerboseOption = Annotated[bool, typer.Option("--verbose", help="Every health row, and why nothing runs")]
+VerboseOption = Annotated[
+    bool, typer.Option("--verbose", help="Show every health row, and why stages are skipped")
+]
 
 
 def configured(

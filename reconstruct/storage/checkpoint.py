@@ -205,7 +205,7 @@ def look_at(path: Path, device: str, wanted: Callable[[str], bool]) -> Saved:
             numbers = json.loads(_proven_head(file.metadata() or {}))
             tensors = {n: file.get_tensor(n) for n in file.keys() if wanted(n)}  # noqa: SIM118 (not a dict)
     except (OSError, SafetensorError, ValueError) as error:
-        raise ReconstructError("file-unreadable", f"{path}: no training to look at ({error})") from None
+        raise ReconstructError("file-unreadable", f"{path}: not a readable checkpoint ({error})") from None
     return Saved(numbers.pop("done"), tensors, numbers)
 
 

@@ -55,4 +55,6 @@ def _as_told(path: Path, make: Callable[[], T]) -> T:
     try:
         return make()
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise ReconstructError("checkpoint-without-model", f"{path}: no model to look at ({error})") from None
+        raise ReconstructError(
+            "checkpoint-without-model", f"{path}: the checkpoint holds no usable model ({error})"
+        ) from None

@@ -60,7 +60,7 @@ def subject_box(
             "check poses and background (dataset.background), "
             "or train longer (reconstruct.canonical_iterations)"
         )
-        raise ReconstructError("subject-not-found", f"nothing was found in the scene box: {remedy}")
+        raise ReconstructError("subject-not-found", f"the scene box was found empty: {remedy}")
     return tight, (near_kept, aabb)
 
 

@@ -246,13 +246,13 @@ def test_focal_lengths_across_and_down_that_differ_are_named(corner):
     model = corner.model
     stretched = [replace(c, K=np.diag([1.0, 1.04, 1.0]) @ c.K) for c in model.cameras]
     rows = fired(replace(model, cameras=tuple(stretched), obs_xy=seen_by(model, dict(enumerate(stretched)))))
-    row = rows["sweep-focal itself, across and down"]
+    row = rows["sweep-focal horizontal against vertical"]
     assert row.value == pytest.approx(4, abs=0.1) and row.verdict == "warn" and "tabilisation" in row.remedy
     counts = dict(zip(model.names, range(20, 100), strict=False))
     points = fired(changed(replace(model, cameras=tuple(stretched)), points_per_image=counts))["sweep-points"]
     assert points.verdict == "fail" and "lens" in points.remedy and "texture" not in points.remedy
     said = sweep_measures(replace(model, cameras=tuple(stretched)), pixel_aspect=1.04)  # as the file says
-    assert "sweep-focal itself, across and down" not in judged.fired(said)
+    assert "sweep-focal horizontal against vertical" not in judged.fired(said)
 
 
 @pytest.mark.parametrize(("later_px", "verdict"), [(320.0, "warn"), (345.0, "fail")])
@@ -299,8 +299,8 @@ def test_a_rolling_shutter_is_named(corner):
     ("code", "lens"),
     [
         ("sweep-centre", {"cx": 30.0}),  # B14: 9 % of the width
-        ("sweep-focal what its lens model holds", {"k1": -1.2}),  # B15
-        ("sweep-focal what its lens model holds", {"f": 0.35}),  # B16: 117 degrees
+        ("sweep-focal limits of its lens model", {"k1": -1.2}),  # B15
+        ("sweep-focal limits of its lens model", {"f": 0.35}),  # B16: 117 degrees
     ],
 )
 def test_lenses_beyond_their_model_are_named(corner, code, lens):
@@ -312,7 +312,7 @@ def test_lenses_beyond_their_model_are_named(corner, code, lens):
         return replace(camera, K=K, distortion=distortion)
 
     faulty = replace(corner.model, cameras=tuple(bad(camera) for camera in corner.model.cameras))
-    assert code in fired(faulty) and "sweep-focal what its lens model holds" not in fired(corner.model)
+    assert code in fired(faulty) and "sweep-focal limits of its lens model" not in fired(corner.model)
 
 
 def test_a_principal_point_that_was_put_back_is_named(corner):
@@ -347,7 +347,7 @@ def test_a_board_is_compared_with_its_own_device(corner):
             start | {"camera_id": camera_id, "source": "board"},
         ]
         model = changed(corner.model, cameras={"1": one, "2": one | {"K": K.tolist()}}, start=starts)
-        return judged.judged(sweep_measures(model, board))["sweep-focal the board"]
+        return judged.judged(sweep_measures(model, board))["sweep-focal against the board"]
 
     assert row(2).value == 0 and row(2).verdict == "ok"
     assert row(1).value == pytest.approx(20) and row(1).verdict == "fail"  # 1 / 1.25 of the board's

@@ -166,7 +166,7 @@ def test_routes_that_disagree_are_named(healthy):
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ touched.cam_from_world[:, :3]
     other = cameras | {"cam1": replace(touched, cam_from_world=np.column_stack([R, -R @ touched.centre]))}
     rows = fired(route_measures(disagreement(other, board.cameras), sweep, board, 1.0)[0])
-    assert "rig-routes cam1, turn, degrees" in rows and all(row.remedy for row in rows.values())
+    assert "rig-routes cam1, rotation, degrees" in rows and all(row.remedy for row in rows.values())
 
 
 def test_a_bumped_camera_is_named_with_the_time():

@@ -114,7 +114,7 @@ def _look(entry: dict[str, Any], where: str) -> Look | None:
             EVEN if gains is None else as_gains(np.array(gains, np.float64).reshape(3)),
         )
     except (TypeError, ValueError) as error:
-        wrong = f"{where}: its look cannot be used ({error})"
+        wrong = f"{where}: its colour correction cannot be used ({error})"
         expected = (
             "colour_matrix with 3 rows of 3 numbers and colour_gains with 3 numbers above 0, or no such keys"
         )

@@ -224,7 +224,7 @@ def _given_into_sweep(job: RigJob, rig: Rig) -> Rig:
     if len(found) < 3:
         raise InputError(
             "rig-given-untied",
-            "calibration.rig.given: fewer than three cameras do not tie a given rig to the sweep; "
+            "calibration.rig.given: fewer than three cameras cannot align a given rig with the sweep; "
             "set calibration.rig.method to sweep",
         )
     lost = [n for n in job.trained if n not in found]

@@ -66,7 +66,7 @@ def narrower(intact: Intact) -> Damage:
     of them and would move with them: other test views, which the undisturbed bar says nothing about.
     """
     if simulated(intact).cameras % 2:
-        text = "the witness of an odd number of simulated cameras would move with them"
+        text = "with an odd number of simulated cameras this axis would move the test camera"
         raise DoesNotApply("witness-would-move", text)
     return _NARROWER(intact)
 
