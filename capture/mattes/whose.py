@@ -6,7 +6,7 @@ films apart.
 """
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def files_of(files: Sequence[Path], pictures: Mapping[int, str | None], count: i
     return Whose({n: by_number[n + from_1] for n in pictures if n + from_1 in by_number}, numbers, from_1)
 
 
-def _refuse_one_off(files: Mapping[int, Path], photos: Collection[int]) -> None:
+def _refuse_one_off(files: Mapping[int, Path], photos: set[int]) -> None:
     for step in (1, -1):
         if not photos <= files.keys() and {number + step for number in photos} <= files.keys():
             folder = next(iter(files.values())).parent
