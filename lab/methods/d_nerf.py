@@ -11,7 +11,7 @@ from devrf.lab.methods.field import Field, FieldMethod, Points, Seen, Settings
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding, Mlp, RadianceMlp
 
-SETTINGS = {
+SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=512, samples=(24, 24), rate=2e-3, last_rate=2e-4),
     "full": Settings(rays=500, samples=(64, 128), rate=5e-4, last_rate=5e-5),
 }

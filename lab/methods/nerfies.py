@@ -17,7 +17,7 @@ from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Codes, Encoding, Mlp, RadianceMlp
 from devrf.lab.methods.pictures import Rays
 
-SETTINGS = {
+SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=512, samples=(24, 24), rate=2e-3, last_rate=2e-4),
     "full": Settings(rays=6144, samples=(128, 128), rate=1e-3, last_rate=1e-4),
 }

@@ -83,6 +83,8 @@ class Codes(nn.Module):
     A test camera has no code of its own: what it sees at a time is what the others saw then.
     """
 
+    moments: Tensor
+
     def __init__(self, moments: Float[Tensor, " t"], channels: int, spread: float = 0.05) -> None:
         super().__init__()
         self.register_buffer("moments", moments)

@@ -14,7 +14,7 @@ from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Codes
 from devrf.lab.methods.pictures import Rays
 
-SETTINGS = {
+SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=1024, samples=(64, 0), rate=2e-3, last_rate=2e-4),
     "full": Settings(rays=16384, samples=(128, 0), rate=1e-4, last_rate=1e-5),
 }

@@ -24,7 +24,7 @@ from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding, Mlp, RadianceMlp
 from devrf.lab.methods.pictures import Rays
 
-SETTINGS = {
+SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=256, samples=(32, 0), rate=2e-3, last_rate=2e-4),
     "full": Settings(rays=1024, samples=(128, 0), rate=5e-4, last_rate=5e-5),
 }

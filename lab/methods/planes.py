@@ -6,6 +6,7 @@ resolutions, and joins these. A small network turns features into density and co
 3.3): total variation in space, no jerks in time, and little that depends on time.
 """
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import torch
@@ -18,7 +19,7 @@ from devrf.lab.methods.networks import Encoding
 from devrf.lab.methods.pictures import Pictures, Rays
 from devrf.lab.methods.protocol import Task
 
-SETTINGS = {
+SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=1024, samples=(32, 32), rate=2e-2, last_rate=1e-3),
     "full": Settings(rays=4096, samples=(64, 64), rate=1e-2, last_rate=1e-4),
 }
@@ -43,13 +44,11 @@ class Planes(Field):
         if hex_plane:
             sides, channels = sides[-1:], channels * len(sides)
         keys = max(2, len(moments))
-        self.levels = nn.ModuleList()
+        self.planes = nn.ParameterList()
         for side in sides:
-            of_level = nn.ParameterList()
             for n, (_, second) in enumerate(PAIRS):
                 plane = torch.empty(1, channels, keys if second == 3 else side, side)
-                of_level.append(nn.Parameter(plane.fill_(1) if n in IN_TIME else plane.uniform_(0.1, 0.5)))
-            self.levels.append(of_level)
+                self.planes.append(nn.Parameter(plane.fill_(1) if n in IN_TIME else plane.uniform_(0.1, 0.5)))
         joined = channels * (len(OPPOSITE) if hex_plane else len(sides))
         self.direction = Encoding(3, 4)
         self.density = nn.Sequential(nn.Linear(joined, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 16))
@@ -66,12 +65,17 @@ class Planes(Field):
         """Density and colour at a time; at rest, at the time of rest."""
         time = torch.where(points.rest > 0, self.rest_time, points.time)
         place = torch.cat([points.x, 2 * time[:, None] - 1], 1)
-        found = [self._level(planes, place) for planes in self.levels]
+        found = [self._level(planes, place) for planes in self.levels()]
         h = self.density(torch.cat(found, 1))
         rgb = self.colour(torch.cat([h[:, 1:], self.direction(points.d)], 1))
         return Seen(nn.functional.softplus(10 * h[:, 0] - 1), rgb, {})
 
-    def _level(self, planes: nn.ParameterList, place: Float[Tensor, "n 4"]) -> Float[Tensor, "n c"]:
+    def levels(self) -> list[list[nn.Parameter]]:
+        """The six planes of each resolution."""
+        every = list(self.planes)
+        return [every[n : n + len(PAIRS)] for n in range(0, len(every), len(PAIRS))]
+
+    def _level(self, planes: Sequence[nn.Parameter], place: Float[Tensor, "n 4"]) -> Float[Tensor, "n c"]:
         each = [sampled(plane, place[:, list(pair)]) for plane, pair in zip(planes, PAIRS, strict=True)]
         if self.hex_plane:
             return torch.cat([each[a] * each[b] for a, b in OPPOSITE], 1)
@@ -84,7 +88,7 @@ class Planes(Field):
     def regularised(self) -> dict[str, Tensor]:
         """The losses, which depend on the planes alone."""
         variation, jerks, changes = [], [], []
-        for planes in self.levels:
+        for planes in self.levels():
             for n, plane in enumerate(planes):
                 variation.append(plane.diff(dim=3).square().mean())
                 if n in IN_TIME:
@@ -104,7 +108,7 @@ class Planes(Field):
 
     def still(self) -> list[nn.Parameter]:
         """Planes of space and the networks."""
-        planes = [p for of in self.levels for n, p in enumerate(of) if n not in IN_TIME]
+        planes = [p for of in self.levels() for n, p in enumerate(of) if n not in IN_TIME]
         return [*planes, *self.density.parameters(), *self.colour.parameters()]
 
 

@@ -14,7 +14,7 @@ from devrf.capture.system.errors import InputError
 from devrf.lab.methods.d_nerf import DNerf
 from devrf.lab.methods.field import FieldMethod, FieldTraining
 from devrf.lab.methods.method_table import METHODS
-from devrf.lab.methods.pictures import Pictures
+from devrf.lab.methods.pictures import Pictures, Space
 from devrf.lab.methods.protocol import Budget
 
 OTHERS = [name for name in METHODS if not name.startswith("devrf")]
@@ -58,9 +58,9 @@ def test_gradients_are_what_differences_say(
             p += 1e-3 * torch.randn_like(p)
     drawn = pictures.draw(24, torch.Generator().manual_seed(0), 0.5, field.one_moment)
     rays = type(drawn)(**{k: v.double() if v.is_floating_point() else v for k, v in vars(drawn).items()})
-    training.space = type(training.space)(
-        *(x.double() if isinstance(x, torch.Tensor) else x for x in vars(training.space).values())
-    )
+    space = training.space
+    behind = None if space.behind is None else space.behind.double()
+    training.space = Space(space.low.double(), space.high.double(), space.near, behind)
 
     def loss() -> torch.Tensor:
         training.generator.manual_seed(0)
@@ -88,7 +88,7 @@ def test_gradients_are_what_differences_say(
 def test_as_large_as_published(name: str, task: MakeTask) -> None:
     method = METHODS[name].load()
     assert isinstance(method, FieldMethod)
-    full = type(task())(**(vars(task()) | {"size": "full"}))
+    full = replace(task(), size="full")
     millions = sum(p.numel() for p in method.make(full, Pictures(full)).parameters()) / 1e6
     assert millions == pytest.approx(METHODS[name].parameters, rel=0.1)
 
