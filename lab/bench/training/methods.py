@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from devrf.capture.camera import Camera
+from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.capture.system.progress import Progress
 from devrf.lab.bench.bench_charts import chart
@@ -225,6 +226,6 @@ def _beside(bench: Bench, contest: Contest, names: Sequence[str], path: Path) ->
 
 
 def _small(path: Path) -> np.ndarray:
-    picture = Image.open(path).convert("RGB")
+    picture = Image.fromarray(read_pixels(path)[..., :3])
     scale = SIDE / max(picture.size)
     return np.asarray(picture.resize((round(picture.width * scale), round(picture.height * scale))))
