@@ -60,7 +60,7 @@ class Follower:
         shots = self.shots()
         shots.come()
         lost = past.lost[-1]
-        expected = carried(past, past.ahead(), lost)
+        expected = carried(past, past.ahead(), lost, past.poses[-1])
         found = Estimate(expected, lost, np.full(len(lost), np.nan))
         if len(shots.all) >= FEWEST_CAMERAS:
             found.pose = shots.fit(expected, SIGMAS, believed=believed(graph, lost))

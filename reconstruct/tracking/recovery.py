@@ -50,13 +50,13 @@ def look_again(shots: Shots, found: Estimate, expected: Pose) -> None:
 
 
 def _guesses(shots: Shots, found: Estimate, expected: Pose) -> Iterator[Pose]:
-    """Where what is lost may be, each when it is asked for: carried along, where it was, gone far.
+    """Where what is lost may be, each when it is asked for: beside what is around, as at rest or as before; gone far.
 
     How far anything went only flow from where it was tells: nothing of what was lost before.
     """
     past = shots.past
-    yield carried(past, found.pose, found.lost)
-    yield past.poses[-1]
+    yield carried(past, found.pose, found.lost, past.poses[0])
+    yield carried(past, found.pose, found.lost, past.poses[-1])
     if (found.lost & ~past.lost[-1]).any():
         yield _gone_far(shots, expected)
 
@@ -71,21 +71,29 @@ def _gone_far(shots: Shots, expected: Pose) -> Pose:
 
 
 def _carried_if_better(shots: Shots, found: Estimate) -> Pose:
-    """The pose with what is lost carried along, but for what pictures then show even less of."""
-    out = carried(shots.past, found.pose, found.lost)
+    """The pose with what is lost carried along as it was before; as at rest, or as found, where pictures show more."""
+    past, lost = shots.past, found.lost
+    out = carried(past, found.pose, lost, past.poses[-1])
     liked = shots.likeness(out)
-    for group in shots.graph.groups(found.lost):
-        if _more(liked[group], found.likeness[group]) < 0:
-            out = _with(out, found.pose, group)
+    as_at_rest = carried(past, found.pose, lost, past.poses[0])
+    for other, likeness in ((as_at_rest, shots.likeness(as_at_rest)), (found.pose, found.likeness)):
+        for group in shots.graph.groups(lost):
+            if _more(likeness[group], liked[group]) > 0:
+                out = _with(out, other, group)
+                liked[group] = likeness[group]
     return out
 
 
-def carried(past: Trajectory, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
-    """The pose with what is lost as the nodes around it have gone, where these have gone as one; else as it is.
+def carried(past: Trajectory, pose: Pose, lost: Bool[np.ndarray, " n"], since: Pose) -> Pose:
+    """The pose with what is lost beside the nodes around it as in an earlier pose, `since`, if these have gone as one
+    since then; else as it is.
 
-    Around are its neighbours in the graph; of what has hardly any, what it was near to and went along with.
+    Beside them as at rest is right for what is a piece of them, whatever has pulled at it; as before for a limb that
+    has gone a way of its own. Around are neighbours in the graph; of what has hardly any, what it was near to and went
+    along with.
     """
-    graph, nodes, out = past.graph, past.graph.nodes, pose
+    graph, out = past.graph, pose
+    before, now = (graph.nodes + one.shifts for one in (since, pose))
     for group in graph.groups(lost):
         for rings in range(AROUND, 0, -1):
             around = np.flatnonzero(graph.around(group, rings) & ~lost)
@@ -93,12 +101,12 @@ def carried(past: Trajectory, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
                 around = _gone_along_with(past, group, lost, rings)
             if len(around) < FEWEST_AROUND:
                 break
-            there = (nodes + pose.shifts)[None, around]
-            motion = motion_of(nodes[around], there)
-            if residual(motion, nodes[around], there).mean() < (AS_ONE * graph.edge) ** 2:
+            there = now[None, around]
+            motion = motion_of(before[around], there)
+            if residual(motion, before[around], there).mean() < (AS_ONE * graph.edge) ** 2:
                 rotations, shifts, ((rotation,), (shift,)) = out.rotations.copy(), out.shifts.copy(), motion
-                rotations[group] = rotation
-                shifts[group] = nodes[group] @ rotation.T + shift - nodes[group]
+                rotations[group] = rotation @ since.rotations[group]
+                shifts[group] = before[group] @ rotation.T + shift - graph.nodes[group]
                 out = Pose(rotations, shifts)
                 break
     return out

@@ -407,7 +407,7 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
     with ThreadPoolExecutor(1) as pool:
         follower = Follower(graph, films, np.linspace(0.5, 1, 5), Offsets(np.zeros(3), surface.xyz), pool)
         mask = np.isin(np.arange(len(graph.nodes)), lost)
-        along = carried(follower.past, wrong, mask)
+        along = carried(follower.past, wrong, mask, follower.past.poses[0])
         assert np.allclose(along.shifts, pose.shifts) and np.allclose(along.rotations, pose.rotations)
         shots = follower.shots()
         shots.fit(wrong, ((1.2, 0.0),))
@@ -415,6 +415,27 @@ def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) 
         assert np.nanmedian(likeness[lost]) < 0.25
         right = shots.likeness(shots.fit(Pose.rest(len(graph.nodes)), FARTHER))
         assert np.nanmedian(right) > 0.5
+
+
+def test_a_limb_that_is_lost_stays_as_it_was_beside_what_is_around() -> None:
+    """An arm that was raised when it was seen last goes on with the trunk, raised; it does not fall to its side."""
+    surface, card = on_cards()
+    graph = Graph(surface.only(card == 1))
+    arm = graph.nodes[:, 0] > CENTRES[1, 0] + 0.15
+    raised, (_, went) = Pose.rest(len(arm)), gone_as_one(graph, np.flatnonzero(arm))
+    turn = Rotation.from_rotvec([0, 0, 1.0]).as_matrix()
+    shoulder = CENTRES[1] + [0.15, 0.0, 0.0]
+    raised.rotations[arm] = turn
+    raised.shifts[arm] = (graph.nodes[arm] - shoulder) @ turn.T + shoulder - graph.nodes[arm]
+    past = Trajectory(graph, np.linspace(0.5, 1, 5))
+    past.add(raised, np.zeros(len(arm), dtype=bool))
+    past.add(raised, arm)
+    found = carried(past, went, arm, past.poses[-1])
+    trunk = went.rotations[~arm][0]
+    shift = (graph.nodes + went.shifts)[~arm][0] - graph.nodes[~arm][0] @ trunk.T
+    there = (graph.nodes + raised.shifts)[arm] @ trunk.T + shift
+    assert np.allclose(graph.nodes[arm] + found.shifts[arm], there)
+    assert np.allclose(found.rotations[arm], trunk @ turn)
 
 
 @pytest.mark.parametrize(
@@ -437,7 +458,7 @@ def test_what_hangs_on_nothing_goes_along_with_what_is_near(
         before.shifts[head] *= -1
     past.add(before, np.zeros(len(head), dtype=bool))
     past.add(before, head)
-    found = carried(past, wrong, head)
+    found = carried(past, wrong, head, past.poses[0])
     expected = pose if goes else wrong
     assert np.allclose(found.shifts, expected.shifts) and np.allclose(found.rotations, expected.rotations)
 
