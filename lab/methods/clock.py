@@ -1,37 +1,46 @@
-"""How much of a budget is spent; a dozen looks at the model stand beside it."""
+"""A training within a budget: how much of it is spent, and looks at the model, whose time does not count."""
 
-import time
+from jaxtyping import Float
+from torch import Tensor
 
-from devrf.lab.methods.protocol import Budget, Trained
+from devrf.lab.methods.protocol import TimeBudget, TrainedModel
+from devrf.reconstruct.storage.training_log import TrainingLog
+from devrf.reconstruct.storage.watch import Watch
 
-LOOKS = 12  # at the model while it is trained
+LOOKS = 12  # at the model while it is trained, about
+EVERY = 20  # steps between two checks that the loss is a number
 
 
-class Clock:
-    """The seconds of a training.
+class TrainingClock:
+    """The seconds and steps of a training."""
 
-    Attributes:
-        steps: That are done.
-    """
+    def __init__(self, budget: TimeBudget, device: str) -> None:
+        self._budget, self._log = budget, TrainingLog(device, EVERY)
+        self._watch = Watch(budget.seconds / LOOKS, budget.look)
 
-    def __init__(self, budget: Budget) -> None:
-        self._budget, self.steps, self._seconds, self._looked = budget, 0, 0.0, 0
-        self._since = time.perf_counter()
+    @property
+    def steps(self) -> int:
+        """That are done."""
+        return self._log.iteration
 
     @property
     def share(self) -> float:
         """Of the budget that is spent, by time or by steps."""
-        spent = (self._seconds + time.perf_counter() - self._since) / self._budget.seconds
         steps = 0.0 if self._budget.steps is None else self.steps / self._budget.steps
-        return min(1.0, max(spent, steps))
+        return min(1.0, max(self._log.seconds / self._budget.seconds, steps))
 
-    def step(self, model: Trained) -> None:
-        """A step is done; look at the model if it is time to."""
-        self.steps += 1
+    def step(self, model: TrainedModel, rays: int, loss: Float[Tensor, ""]) -> None:
+        """A step is done; look at the model if it is time to, and when the budget is spent.
+
+        Raises:
+            Diverged: The loss is no number.
+        """
+        self._log.add(rays, {"loss": loss})
         share = self.share
         self._budget.progress(share, f"step {self.steps}")
-        if share * LOOKS >= self._looked + 1:
-            self._seconds += time.perf_counter() - self._since
-            self._budget.look(model, self._seconds)
-            self._looked = int(share * LOOKS)
-            self._since = time.perf_counter()
+        if share < 1:
+            self._watch(self._log, lambda: model)
+            return
+        self._log.close_row()
+        with self._log.paused():
+            self._budget.look(model, self._log.seconds)

@@ -7,7 +7,7 @@ samples evenly and 128 more, 500 rays a step. What is at rest is not moved (thei
 import torch
 from torch import nn
 
-from devrf.lab.methods.field import Field, FieldMethod, Points, Seen, Settings
+from devrf.lab.methods.field import FieldMethod, FieldPoints, RadianceField, Sampled, Settings
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding, Mlp, RadianceMlp
 
@@ -18,7 +18,7 @@ SETTINGS: dict[Size, Settings] = {
 NETWORKS = {"small": (4, 96), "full": (8, 256)}  # depth and width
 
 
-class DNerf(Field):
+class DNerf(RadianceField):
     """A canonical radiance field and displacements to it."""
 
     def __init__(self, size: Size) -> None:
@@ -28,12 +28,12 @@ class DNerf(Field):
         self.warp = Mlp(self.place.size + self.time.size, 3, depth, width, small=1e-4)
         self.canonical = RadianceMlp(self.place.size, depth, width, self.direction.size)
 
-    def forward(self, points: Points) -> Seen:
+    def forward(self, points: FieldPoints) -> Sampled:
         """Density and colour where points come from."""
         encoded = torch.cat([self.place(points.x), self.time(2 * points.time[:, None] - 1)], 1)
         x = points.x + self.warp(encoded) * (1 - points.rest[:, None])
         density, rgb, _ = self.canonical(self.place(x), self.direction(points.d))
-        return Seen(nn.functional.softplus(density - 1), rgb, {})
+        return Sampled(nn.functional.softplus(density - 1), rgb, {})
 
     def still(self) -> list[nn.Parameter]:
         """The canonical field."""

@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Float32
 
 from devrf.capture.camera import Camera
+from devrf.lab.methods.clock import LOOKS
 from devrf.lab.methods.method_table import Regime
-from devrf.lab.methods.protocol import Budget, Task
+from devrf.lab.methods.protocol import MethodTask, TimeBudget
 from devrf.reconstruct import recipe
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.fields.motion import MotionField
-from devrf.reconstruct.rendering.model import DynamicModel, render_layers, render_view
+from devrf.reconstruct.rendering.model import DynamicModel, render_layers
 from devrf.reconstruct.storage.model_io import save_deformation, save_rest
 from devrf.reconstruct.storage.watch import Watch
 from devrf.reconstruct.training.loop import TrainingRun
@@ -38,7 +39,8 @@ class TrainedDevrf:
         self, camera: Camera, time: float | None
     ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w"]]:
         """Colours, and distances along rays."""
-        return render_view(self.model, camera, time), render_layers(self.model, camera, time)[1]
+        colour, depth, _ = render_layers(self.model, camera, time)
+        return colour, depth
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,11 @@ class DevrfMethod:
     preset: str
     regimes: tuple[Regime, ...] = ("joint", "two-stage")
 
-    def why_not(self, task: Task) -> str | None:
+    def why_not(self, task: MethodTask) -> str | None:
         """It can do every task that has a sweep."""
         return None
 
-    def train(self, task: Task, budget: Budget) -> TrainedDevrf:
+    def train(self, task: MethodTask, budget: TimeBudget) -> TrainedDevrf:
         """Train it."""
         options = task.options(self.preset)
         before = 0.0
@@ -64,18 +66,17 @@ class DevrfMethod:
         def look(model: DynamicModel, seconds: float) -> None:
             budget.look(TrainedDevrf(model), before + seconds)
 
-        every = budget.seconds / 20
+        every = budget.seconds / LOOKS
         at_rest = Watch(every, lambda rest, seconds: look(DynamicModel(rest), seconds))
-        run = TrainingRun(task.device, budget.progress)
         rest: RestModel = recipe.canonical(
-            task.scene, options.canonical, TrainingRun(task.device, budget.progress, run.checkpoint, at_rest)
+            task.scene, options.canonical, TrainingRun(task.device, budget.progress, watch=at_rest)
         )
         before = float(rest.metrics["seconds"])
 
         def in_motion(motion: MotionField, seconds: float) -> None:
             look(DynamicModel(rest, motion), seconds)
 
-        training = TrainingRun(task.device, budget.progress, run.checkpoint, Watch(every, in_motion))
+        training = TrainingRun(task.device, budget.progress, watch=Watch(every, in_motion))
         model, metrics = recipe.motion(task.scene, rest, task.flows, options.motion, training, task.estimator)
         look(model, float(metrics["seconds"]))
         return TrainedDevrf(model)

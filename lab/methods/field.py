@@ -4,9 +4,9 @@ Quadrature as in NeRF (Mildenhall et al. 2020, Eq. 3). Samples are drawn twice, 
 found something (Section 5.2); one network does both, the first without gradients.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -14,19 +14,18 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from devrf.capture.camera import Camera
-from devrf.capture.system.errors import ReconstructError
-from devrf.lab.methods.clock import Clock
+from devrf.lab.methods.clock import TrainingClock
 from devrf.lab.methods.method_table import Regime, Size
-from devrf.lab.methods.pictures import Pictures, Rays, Space
-from devrf.lab.methods.protocol import Budget, Task
-from devrf.reconstruct.rendering.rays import camera_rays
+from devrf.lab.methods.pictures import Space, TaskPictures, at_rest
+from devrf.lab.methods.protocol import MethodTask, TimeBudget
+from devrf.reconstruct.rendering.rays import RayBatch, camera_rays
 
 AT_ONCE = 4096  # rays of a picture
 BYTES = 4  # of a parameter
 
 
 @dataclass(frozen=True)
-class Points:
+class FieldPoints:
     """Where and when a field is asked.
 
     Attributes:
@@ -43,7 +42,7 @@ class Points:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Sampled:
     """What a field says of points.
 
     Attributes:
@@ -58,8 +57,8 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Rendered:
-    """Rays as they look.
+class RenderedRays:
+    """RayBatch as they look.
 
     Attributes:
         rgb: Colours.
@@ -96,7 +95,7 @@ class Settings:
     static_share: float = 0.5
 
 
-class Field(nn.Module):
+class RadianceField(nn.Module, ABC):
     """Density and colour of places at times; a method is one of these, with losses of its own.
 
     Attributes:
@@ -105,11 +104,11 @@ class Field(nn.Module):
 
     one_moment = False
 
-    def forward(self, points: Points) -> Seen:
+    @abstractmethod
+    def forward(self, points: FieldPoints) -> Sampled:
         """What is there."""
-        raise NotImplementedError
 
-    def losses(self, field: "FieldTraining", rays: Rays, seen: Rendered) -> dict[str, Tensor]:
+    def losses(self, field: "FieldTraining", rays: RayBatch, seen: RenderedRays) -> dict[str, Tensor]:
         """The method's own losses, weighted, beside that of colours."""
         return {}
 
@@ -125,10 +124,6 @@ class Field(nn.Module):
     ) -> Float[Tensor, "R n"]:
         """Of samples at rising distances `t`, the last of which reaches to `last`."""
         return quadrature(density, t, last)
-
-    def groups(self, rate: float) -> list[dict[str, Any]]:
-        """Parameters with their rates."""
-        return [{"params": [p for p in self.parameters() if p.requires_grad], "lr": rate}]
 
 
 def quadrature(
@@ -169,41 +164,41 @@ class FieldTraining:
         settings: How it is trained.
     """
 
-    def __init__(self, task: Task, field: Field, pictures: Pictures, settings: Settings) -> None:
+    def __init__(
+        self, task: MethodTask, field: RadianceField, pictures: TaskPictures, settings: Settings
+    ) -> None:
         self.task, self.pictures, self.settings = task, pictures, settings
         self.field = field.to(task.device)
         self.space = Space.of(task.boxed, task.device)
         self.generator = torch.Generator().manual_seed(task.seed)
 
-    def seen(
-        self, rays: Rays, t: Float[Tensor, "R n"], time: Float[Tensor, " R"] | None = None
-    ) -> tuple[Seen, Float[Tensor, "R n 3"]]:
+    def seen(self, rays: RayBatch, t: Float[Tensor, "R n"]) -> tuple[Sampled, Float[Tensor, "R n 3"]]:
         """What the field says of places at distances along rays, and these places."""
         n = t.shape[1]
-        x = self.space.contracted((rays.o[:, None] + rays.d[:, None] * t[..., None]).reshape(-1, 3))
-        moment = (rays.time if time is None else time).repeat_interleave(n)
-        points = Points(x, rays.d.repeat_interleave(n, 0), moment, rays.rest.to(rays.o).repeat_interleave(n))
+        x = self.space.contracted((rays.rays_o[:, None] + rays.rays_d[:, None] * t[..., None]).reshape(-1, 3))
+        each = (rays.rays_d, rays.time, (rays.frame < 0).to(rays.rays_o))
+        points = FieldPoints(x, *(value.repeat_interleave(n, 0) for value in each))
         return self.field(points), x.reshape(-1, n, 3)
 
-    def rendered(self, rays: Rays, jitter: bool) -> Rendered:
-        """Rays as they look; with `jitter` samples are drawn at random."""
+    def rendered(self, rays: RayBatch, jitter: bool) -> RenderedRays:
+        """RayBatch as they look; with `jitter` samples are drawn at random."""
         even, more = self.settings.samples
-        R = len(rays.o)
-        middle = torch.rand(R, even, generator=self.generator).to(rays.o) if jitter else 0.5
-        steps = (torch.arange(even).to(rays.o) + middle) / even
+        R, last = len(rays.time), self.last(rays)
+        middle = torch.rand(R, even, generator=self.generator).to(rays.rays_o) if jitter else 0.5
+        steps = (torch.arange(even).to(rays.rays_o) + middle) / even
         steps = steps.expand(R, even)
         if more:
             with torch.no_grad():
-                t = self.space.distances(rays.o, rays.d, steps)
+                t = self.space.distances(rays.rays_o, rays.rays_d, steps)
                 found, _ = self.seen(rays, t)
-                weights = self.field.weights(found.density.reshape(R, even), t, self.last(rays))
+                weights = self.field.weights(found.density.reshape(R, even), t, last)
             again = drawn_again(steps, weights, more, self.generator if jitter else None)
             steps = torch.cat([steps, again], 1).sort(1)[0]
-        t = self.space.distances(rays.o, rays.d, steps)
+        t = self.space.distances(rays.rays_o, rays.rays_d, steps)
         found, x = self.seen(rays, t)
-        weights = self.field.weights(found.density.reshape(R, -1), t, self.last(rays))
+        weights = self.field.weights(found.density.reshape(R, -1), t, last)
         rgb, depth = self.composed(weights, found.rgb.reshape(R, -1, 3), t)
-        return Rendered(rgb, depth, weights, t, x, found.more)
+        return RenderedRays(rgb, depth, weights, t, x, found.more)
 
     def composed(
         self, weights: Float[Tensor, "R n"], rgb: Float[Tensor, "R n 3"], t: Float[Tensor, "R n"]
@@ -214,58 +209,44 @@ class FieldTraining:
             colour = colour + (1 - weights.sum(1, keepdim=True)) * self.space.behind
         return colour, (weights * t).sum(1)
 
-    def last(self, rays: Rays) -> Float[Tensor, " R"]:
+    def last(self, rays: RayBatch) -> Float[Tensor, " R"]:
         """Where the last sample of each ray ends."""
-        return self.space.distances(rays.o, rays.d, torch.ones_like(rays.time)[:, None])[:, 0]
+        return self.space.distances(rays.rays_o, rays.rays_d, torch.ones_like(rays.time)[:, None])[:, 0]
 
-    def train(self, budget: Budget) -> "TrainedField":
+    def train(self, budget: TimeBudget) -> "TrainedField":
         """Train until the budget is spent.
 
         Raises:
-            ReconstructError: The loss is no number.
+            Diverged: The loss is no number.
         """
-        two_stage = self.task.regime == "two-stage"
-        model, done = TrainedField(self), Clock(budget)
-        if two_stage:
-            self._stage(budget, done, 1.0, (0.0, 0.5), model)
+        model, clock = TrainedField(self), TrainingClock(budget, self.task.device)
+        if self.task.regime == "two-stage":
+            self._stage(clock, 1.0, 0.5, model)
             for parameter in self.field.still():
                 parameter.requires_grad_(False)
-            self._stage(budget, done, 0.0, (0.5, 1.0), model)
+            self._stage(clock, 0.0, 1.0, model)
         else:
-            self._stage(budget, done, self.settings.static_share, (0.0, 1.0), model)
+            self._stage(clock, self.settings.static_share, 1.0, model)
         return model
 
-    def _stage(
-        self,
-        budget: Budget,
-        clock: "Clock",
-        static_share: float,
-        span: tuple[float, float],
-        model: "TrainedField",
-    ) -> None:
-        """Train over a span of the budget, on so large a share of the sweep's pictures."""
-        rate, fall = self.settings.rate, self.settings.last_rate / self.settings.rate
-        optimiser = torch.optim.Adam(self.field.groups(rate), betas=(0.9, 0.99), eps=1e-15)
-        first = [group["lr"] for group in optimiser.param_groups]
-        while clock.share < span[1]:
-            share = clock.share
-            for group, begin in zip(optimiser.param_groups, first, strict=True):
-                group["lr"] = begin * fall**share
+    def _stage(self, clock: TrainingClock, static_share: float, until: float, model: "TrainedField") -> None:
+        """Train until a share of the budget is spent, with so large a share of rays in the sweep's pictures."""
+        settings, fall = self.settings, self.settings.last_rate / self.settings.rate
+        optimiser = torch.optim.Adam(
+            [p for p in self.field.parameters() if p.requires_grad], betas=(0.9, 0.99), eps=1e-15
+        )
+        while (share := clock.share) < until:
+            optimiser.param_groups[0]["lr"] = settings.rate * fall**share
             self.field.advance(share)
             optimiser.zero_grad()
-            rays = self.pictures.draw(self.settings.rays, self.generator, static_share, self.field.one_moment)
+            rays = self.pictures.draw(settings.rays, self.generator, static_share, self.field.one_moment)
             loss = self.loss(rays)
-            if not bool(torch.isfinite(loss)):
-                raise ReconstructError(
-                    "training-diverged", f"the loss is {float(loss)} after {clock.steps} steps"
-                )
             loss.backward()
             optimiser.step()
-            clock.step(model)
+            clock.step(model, settings.rays, loss)
 
-    def loss(self, rays: Rays) -> Float[Tensor, ""]:
+    def loss(self, rays: RayBatch) -> Float[Tensor, ""]:
         """Of a batch: squared errors of colours, and the method's own."""
-        assert rays.rgb is not None
         seen = self.rendered(rays, jitter=True)
         own = self.field.losses(self, rays, seen)
         return sum(own.values(), start=((seen.rgb - rays.rgb) ** 2).mean())
@@ -293,7 +274,11 @@ class TrainedField:
         colours, depths = [], []
         for origin, direction in zip(o.split(AT_ONCE), d.split(AT_ONCE), strict=True):
             times = torch.full_like(origin[:, 0], moment)
-            rays = Rays(origin, direction, times, torch.full_like(times, time is None, dtype=torch.bool))
+            numbers = torch.zeros_like(
+                times, dtype=torch.int64
+            )  # of pixels and pictures: they say nothing here
+            rays = RayBatch(origin, direction, torch.zeros_like(origin), None, times, numbers, numbers)
+            rays = at_rest(rays, moment) if time is None else rays
             seen = training.rendered(rays, jitter=False)
             colours.append(seen.rgb)
             depths.append(seen.depth)
@@ -313,19 +298,19 @@ class FieldMethod:
         only_plain: Why it needs a plain background; None: it does not.
     """
 
-    make: Callable[[Task, Pictures], Field]
+    make: Callable[[MethodTask, TaskPictures], RadianceField]
     settings: Mapping[Size, Settings]
     regimes: Sequence[Regime] = ("joint", "two-stage", "dynamic")
     only_plain: str | None = None
 
-    def why_not(self, task: Task) -> str | None:
+    def why_not(self, task: MethodTask) -> str | None:
         """Why it cannot do a task; None: it can."""
         return self.only_plain if task.scene.background == "shell" else None
 
-    def train(self, task: Task, budget: Budget) -> TrainedField:
+    def train(self, task: MethodTask, budget: TimeBudget) -> TrainedField:
         """Train it."""
         torch.manual_seed(task.seed)
-        pictures = Pictures(task)
+        pictures = TaskPictures(task)
         return FieldTraining(task, self.make(task, pictures), pictures, self.settings[task.size]).train(
             budget
         )

@@ -15,12 +15,11 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from devrf.capture.camera import Camera
-from devrf.capture.system.errors import ReconstructError
-from devrf.lab.methods.clock import Clock
+from devrf.lab.methods.clock import TrainingClock
 from devrf.lab.methods.method_table import Regime
 from devrf.lab.methods.networks import Encoding, Mlp
-from devrf.lab.methods.pictures import Pictures, Space
-from devrf.lab.methods.protocol import Budget, Task
+from devrf.lab.methods.pictures import Space, TaskPictures
+from devrf.lab.methods.protocol import MethodTask, TimeBudget
 from devrf.reconstruct.kernels.splat import splat
 from devrf.reconstruct.rendering.rays import RaySet
 from devrf.reconstruct.splats.gaussians import Gaussians, flattened, product, tiles_of
@@ -37,10 +36,10 @@ OUTSIDE = 0.3  # share of Gaussians in the surroundings, where they are seen
 FARTHEST = 8.0  # box units
 
 
-class Moved(nn.Module):
+class DeformableGaussians(nn.Module):
     """Gaussians at rest and what moves them."""
 
-    def __init__(self, task: Task, space: Space) -> None:
+    def __init__(self, task: MethodTask, space: Space) -> None:
         super().__init__()
         places, colours = _first(task, space)
         volume = float((space.high - space.low).prod())
@@ -81,7 +80,7 @@ class Moved(nn.Module):
 class TrainedGaussians:
     """Gaussians that render."""
 
-    moved: Moved
+    moved: DeformableGaussians
 
     @property
     def megabytes(self) -> float:
@@ -105,20 +104,20 @@ class GaussianMethod:
 
     regimes: tuple[Regime, ...] = ("joint", "two-stage", "dynamic")
 
-    def why_not(self, task: Task) -> str | None:
+    def why_not(self, task: MethodTask) -> str | None:
         """It can do every task."""
         return None
 
-    def train(self, task: Task, budget: Budget) -> TrainedGaussians:
+    def train(self, task: MethodTask, budget: TimeBudget) -> TrainedGaussians:
         """Train it.
 
         Raises:
-            ReconstructError: The loss is no number.
+            Diverged: The loss is no number.
         """
         torch.manual_seed(task.seed)
-        pictures, space = Pictures(task), Space.of(task.boxed, task.device)
-        moved = Moved(task, space).to(task.device)
-        model, clock = TrainedGaussians(moved), Clock(budget)
+        pictures, space = TaskPictures(task), Space.of(task.boxed, task.device)
+        moved = DeformableGaussians(task, space).to(task.device)
+        model, clock = TrainedGaussians(moved), TrainingClock(budget, task.device)
         groups = [{"params": [moved.leaves[name]], "lr": rate} for name, rate in RATES.items()]
         adam = torch.optim.Adam([*groups, {"params": moved.warp.parameters(), "lr": WARP_RATE}], eps=1e-15)
         first = [group["lr"] for group in adam.param_groups]
@@ -141,10 +140,6 @@ class GaussianMethod:
             if flat.requires_grad:
                 flat.retain_grad()
             loss = (1 - SSIM_SHARE) * (rgb - true).abs().mean() + SSIM_SHARE * _dssim(rgb, true)
-            if not bool(torch.isfinite(loss)):
-                raise ReconstructError(
-                    "training-diverged", f"the loss is {float(loss)} after {clock.steps} steps"
-                )
             loss.backward()
             adam.step()
             if flat.grad is not None and not frozen:
@@ -152,11 +147,13 @@ class GaussianMethod:
                 if clock.steps % EVERY == EVERY - 1:
                     _taken_elsewhere(moved, adam, pull)
                     pull.zero_()
-            clock.step(model)
+            clock.step(model, true.shape[0] * true.shape[1], loss)
         return model
 
 
-def _what(task: Task, share: float, generator: torch.Generator, pictures: Pictures) -> tuple[bool, bool]:
+def _what(
+    task: MethodTask, share: float, generator: torch.Generator, pictures: TaskPictures
+) -> tuple[bool, bool]:
     """Whether the next picture is one of the sweep, and whether Gaussians are moved in it."""
     if task.regime == "dynamic" or pictures.static is None:
         return False, share >= ALONE
@@ -166,7 +163,7 @@ def _what(task: Task, share: float, generator: torch.Generator, pictures: Pictur
     return still, not still
 
 
-def _first(task: Task, space: Space) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
+def _first(task: MethodTask, space: Space) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 3"]]:
     """Places and colours at first: points of structure from motion, else anywhere in the box."""
     rng = np.random.default_rng(task.seed)
     number, points = NUMBERS[task.size], task.boxed.points
@@ -201,7 +198,7 @@ def _dssim(a: Float[Tensor, "h w 3"], b: Float[Tensor, "h w 3"]) -> Tensor:
 
 
 @torch.no_grad()
-def _taken_elsewhere(moved: Moved, adam: torch.optim.Adam, pull: Float[Tensor, " N"]) -> None:
+def _taken_elsewhere(moved: DeformableGaussians, adam: torch.optim.Adam, pull: Float[Tensor, " N"]) -> None:
     """Give faded Gaussians half of those that pictures pull most."""
     leaves = moved.leaves
     faded = (torch.sigmoid(leaves["logits"]) < FADED).nonzero()[:, 0]

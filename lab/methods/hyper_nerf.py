@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from devrf.lab.methods.field import FieldMethod, Points
+from devrf.lab.methods.field import FieldMethod, FieldPoints
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.nerfies import CODE, SETTINGS, Nerfies
 from devrf.lab.methods.networks import Encoding, Mlp
@@ -23,17 +23,12 @@ class HyperNerf(Nerfies):
     """A template in five dimensions, rigid motions, and a bent slice."""
 
     def __init__(self, size: Size, moments: Float[Tensor, " t"]) -> None:
-        self.sizes = SLICE[size]
-        super().__init__(size, moments)
-        depth, width = self.sizes
-        self.slice_place, self.ambient = Encoding(3, SLICE_FREQUENCIES), Encoding(AMBIENT, 1)
+        ambient, (depth, width) = Encoding(AMBIENT, 1), SLICE[size]
+        super().__init__(size, moments, ambient.size)
+        self.slice_place, self.ambient = Encoding(3, SLICE_FREQUENCIES), ambient
         self.slice = Mlp(self.slice_place.size + CODE, AMBIENT, depth, width, small=1e-5)
 
-    def slices(self) -> int:
-        """The encoded ambient place."""
-        return Encoding(AMBIENT, 1).size
-
-    def beside(self, points: Points, code: Float[Tensor, "n c"]) -> list[Tensor]:
+    def beside(self, points: FieldPoints, code: Float[Tensor, "n c"]) -> list[Tensor]:
         """Where the slice is at each place (their Eq. 5); at rest it is flat."""
         w = self.slice(torch.cat([self.slice_place(points.x), code], 1))
         return [self.ambient(w * (1 - points.rest[:, None]))]

@@ -17,14 +17,14 @@ Size = Literal["small", "full"]
 
 
 @dataclass(frozen=True)
-class Entry:
+class ListedMethod:
     """A method.
 
     Attributes:
         about: In a few words.
         module, name: Where it is; imported when it is asked for.
         paper: Where it was published.
-        parameters: Of the published networks, millions, for a scene of few moments; None: it depends on the scene.
+        parameters: Of networks of the published widths, millions, counted by hand; None: it depends on the scene.
     """
 
     about: str
@@ -46,38 +46,42 @@ class Entry:
             raise InputError("package-missing", text) from error
 
 
-METHODS: dict[str, Entry] = {
-    "d-nerf": Entry(
+METHODS: dict[str, ListedMethod] = {
+    "d-nerf": ListedMethod(
         "a network moves points to a canonical NeRF", "d_nerf", "METHOD", "Pumarola et al., CVPR 2021", 1.1
     ),
-    "nerfies": Entry(
+    "nerfies": ListedMethod(
         "a field of rigid motions, coarse to fine", "nerfies", "METHOD", "Park et al., ICCV 2021", 0.7
     ),
-    "hyper-nerf": Entry(
+    "hyper-nerf": ListedMethod(
         "Nerfies with a template in five dimensions",
         "hyper_nerf",
         "METHOD",
         "Park et al., SIGGRAPH Asia 2021",
         0.8,
     ),
-    "nsff": Entry(
+    "nsff": ListedMethod(
         "a field in four dimensions with scene flow", "nsff", "METHOD", "Li et al., CVPR 2021", 1.2
     ),
-    "neural-volumes": Entry(
+    "neural-volumes": ListedMethod(
         "a decoder of a volume and its warps", "neural_volumes", "METHOD", "Lombardi et al., SIGGRAPH 2019"
     ),
-    "hex-plane": Entry(
+    "hex-plane": ListedMethod(
         "products of planes of space and time", "planes", "HEX_PLANE", "Cao and Johnson, CVPR 2023"
     ),
-    "k-planes": Entry(
+    "k-planes": ListedMethod(
         "products of all planes, at several resolutions",
         "planes",
         "K_PLANES",
         "Fridovich-Keil et al., CVPR 2023",
     ),
-    "gaussians": Entry("Gaussians that a network moves", "gaussians", "METHOD", "Yang et al., CVPR 2024"),
-    "devrf-tiny": Entry("DeVRF, preset tiny", "devrf", "TINY", "Liu et al., NeurIPS 2022"),
-    "devrf-fast": Entry("DeVRF, preset fast", "devrf", "FAST", "Liu et al., NeurIPS 2022"),
-    "devrf-reference": Entry("DeVRF, preset reference", "devrf", "REFERENCE", "Liu et al., NeurIPS 2022"),
+    "gaussians": ListedMethod(
+        "Gaussians that a network moves", "gaussians", "METHOD", "Yang et al., CVPR 2024"
+    ),
+    "devrf-tiny": ListedMethod("DeVRF, preset tiny", "devrf", "TINY", "Liu et al., NeurIPS 2022"),
+    "devrf-fast": ListedMethod("DeVRF, preset fast", "devrf", "FAST", "Liu et al., NeurIPS 2022"),
+    "devrf-reference": ListedMethod(
+        "DeVRF, preset reference", "devrf", "REFERENCE", "Liu et al., NeurIPS 2022"
+    ),
 }
 OURS = "devrf-fast"  # whose quality the others are timed to reach

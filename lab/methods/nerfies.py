@@ -2,9 +2,9 @@
 
 Published: a template of 8 layers of 256, a deformation network of 6 of 128 with 8 frequencies, codes of 8 numbers for
 deformation and appearance (Section 4); elastic loss of weight 1e-3 on the logarithms of singular values with Geman
-and McClure's robust loss, c = 0.03 (Eq. 6 and 7); the window opens over 80,000 of 1,000,000 steps, here over the same
-share of the budget as of a short training (`WINDOW`). Points that stand are told to stay (their Section 3.4) where the
-sweep saw them.
+and McClure's robust loss, c = 0.03 (Eq. 6 and 7); the window opens over 80,000 steps,
+here over `WINDOW` of the budget. Points that stand are told to stay (their Section 3.4): those of the sweep outside the
+box.
 """
 
 import kornia
@@ -12,10 +12,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from devrf.lab.methods.field import Field, FieldMethod, FieldTraining, Points, Rendered, Seen, Settings
+from devrf.lab.methods.field import (
+    FieldMethod,
+    FieldPoints,
+    FieldTraining,
+    RadianceField,
+    RenderedRays,
+    Sampled,
+    Settings,
+)
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Codes, Encoding, Mlp, RadianceMlp
-from devrf.lab.methods.pictures import Rays
+from devrf.reconstruct.rendering.rays import RayBatch
 
 SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=512, samples=(24, 24), rate=2e-3, last_rate=2e-4),
@@ -66,39 +74,34 @@ def elastic(jacobian: Float[Tensor, "n 3 3"]) -> Float[Tensor, " n"]:
     return 2 * square / (square + 4)
 
 
-class Nerfies(Field):
+class Nerfies(RadianceField):
     """A template and rigid motions to it."""
 
-    def __init__(self, size: Size, moments: Float[Tensor, " t"]) -> None:
+    def __init__(self, size: Size, moments: Float[Tensor, " t"], more: int = 0) -> None:
+        """The template is told `more` channels beside the place."""
         super().__init__()
         depth, width = TEMPLATE[size]
         self.warp = RigidWarp(size, moments)
         self.appearance = Codes(moments, CODE)
         self.place, self.direction = Encoding(3, 10), Encoding(3, 4)
-        self.canonical = RadianceMlp(
-            self.place.size + self.slices(), depth, width, self.direction.size + CODE
-        )
+        self.canonical = RadianceMlp(self.place.size + more, depth, width, self.direction.size + CODE)
 
-    def slices(self) -> int:
-        """Channels of what the template is told beside the place."""
-        return 0
-
-    def forward(self, points: Points) -> Seen:
+    def forward(self, points: FieldPoints) -> Sampled:
         """Density and colour where points come from."""
         moves = 1 - points.rest[:, None]
         code = self.warp.codes(points.time)
         x = torch.lerp(points.x, self.warp(points.x, code), moves)
         look = torch.cat([self.direction(points.d), self.appearance(points.time) * moves], 1)
         density, rgb, _ = self.canonical(torch.cat([self.place(x), *self.beside(points, code)], 1), look)
-        return Seen(nn.functional.softplus(density - 1), rgb, {})
+        return Sampled(nn.functional.softplus(density - 1), rgb, {})
 
-    def beside(self, points: Points, code: Float[Tensor, "n c"]) -> list[Tensor]:
+    def beside(self, points: FieldPoints, code: Float[Tensor, "n c"]) -> list[Tensor]:
         """What the template is told beside the place."""
         return []
 
-    def losses(self, field: FieldTraining, rays: Rays, seen: Rendered) -> dict[str, Tensor]:
+    def losses(self, field: FieldTraining, rays: RayBatch, seen: RenderedRays) -> dict[str, Tensor]:
         """Elastic where something is seen; what stands stays."""
-        moving = ~rays.rest
+        moving = rays.frame >= 0
         if not bool(moving.any()):
             return {}
         weight, time = seen.weights[moving].detach(), rays.time[moving]
@@ -111,7 +114,7 @@ class Nerfies(Field):
         return {"elastic": ELASTIC * elastic(torch.stack(columns, 1)).mean()} | self._stays(field)
 
     def _stays(self, field: FieldTraining) -> dict[str, Tensor]:
-        """Points of the sweep that no training camera sees change stay where they are."""
+        """Points of the sweep outside the box, which holds what moves, stay where they are."""
         points = field.task.boxed.points
         if points is None or field.task.regime == "dynamic":
             return {}

@@ -9,10 +9,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from devrf.lab.methods.field import Field, FieldMethod, FieldTraining, Points, Rendered, Seen, Settings
+from devrf.lab.methods.field import (
+    FieldMethod,
+    FieldPoints,
+    FieldTraining,
+    RadianceField,
+    RenderedRays,
+    Sampled,
+    Settings,
+)
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Codes
-from devrf.lab.methods.pictures import Rays
+from devrf.reconstruct.rendering.rays import RayBatch
 
 SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=1024, samples=(64, 0), rate=2e-3, last_rate=2e-4),
@@ -38,7 +46,7 @@ def decoder(code: int, side: int, channels: int, widest: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-class NeuralVolumes(Field):
+class NeuralVolumes(RadianceField):
     """Codes of moments, a decoder of a template, and one of warps."""
 
     one_moment = True
@@ -55,7 +63,7 @@ class NeuralVolumes(Field):
         with torch.no_grad():  # copies of the whole, a little apart
             self.affine.bias.copy_((torch.eye(3, 4) + 0.02 * torch.randn(self.warps, 3, 4)).ravel())
 
-    def forward(self, points: Points) -> Seen:
+    def forward(self, points: FieldPoints) -> Sampled:
         """The template where points come from."""
         density, rgb, variation = points.time.new_zeros(len(points.x)), torch.zeros_like(points.x), []
         key = torch.where(points.rest > 0, -1.0, points.time)
@@ -68,7 +76,7 @@ class NeuralVolumes(Field):
             density = density.index_put((mine,), nn.functional.softplus(found[:, 3] - 1))
             opacity = torch.log(nn.functional.softplus(volume[:, 3] - 1) + 1e-3)
             variation.append(torch.stack([opacity.diff(dim=k).abs().mean() for k in (1, 2, 3)]).sum())
-        return Seen(density, rgb, {"variation": torch.stack(variation).mean()})
+        return Sampled(density, rgb, {"variation": torch.stack(variation).mean()})
 
     def warped(self, x: Float[Tensor, "n 3"], code: Float[Tensor, " c"]) -> Float[Tensor, "n 3"]:
         """Where points come from: a mixture of affine warps, weighted where each leads (their Eq. 9 and 10)."""
@@ -88,7 +96,7 @@ class NeuralVolumes(Field):
         whole = torch.cumsum(density * gaps, 1).clamp(max=1)
         return torch.diff(whole, dim=1, prepend=torch.zeros_like(whole[:, :1]))
 
-    def losses(self, field: FieldTraining, rays: Rays, seen: Rendered) -> dict[str, Tensor]:
+    def losses(self, field: FieldTraining, rays: RayBatch, seen: RenderedRays) -> dict[str, Tensor]:
         """Opacity is even."""
         return {"variation": VARIATION * seen.more["variation"]}
 

@@ -11,18 +11,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from devrf.lab.methods.field import (
-    Field,
     FieldMethod,
+    FieldPoints,
     FieldTraining,
-    Points,
-    Rendered,
-    Seen,
+    RadianceField,
+    RenderedRays,
+    Sampled,
     Settings,
     quadrature,
 )
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding, Mlp, RadianceMlp
-from devrf.lab.methods.pictures import Rays
+from devrf.reconstruct.rendering.rays import RayBatch
 
 SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=256, samples=(32, 0), rate=2e-3, last_rate=2e-4),
@@ -35,7 +35,7 @@ STEP = 0.3  # of the space, that a point goes in a moment at most
 PIXELS = 1 / 400  # optical flow in widths of a picture
 
 
-class SceneFlow(Field):
+class SceneFlow(RadianceField):
     """What stands, what moves, and where that goes.
 
     Attributes:
@@ -55,7 +55,7 @@ class SceneFlow(Field):
         self.gap = float(moments.diff().median()) if len(moments) > 1 else 1.0
         self.share = 0.0
 
-    def forward(self, points: Points) -> Seen:
+    def forward(self, points: FieldPoints) -> Sampled:
         """What stands and what moves, blended (their Eq. 7)."""
         place, direction = self.place(points.x), self.direction(points.d)
         density, rgb, _ = self.stands(place, direction)
@@ -66,10 +66,10 @@ class SceneFlow(Field):
         both = blend * density + (1 - blend) * moving
         mixed = (blend * density)[:, None] * rgb + ((1 - blend) * moving)[:, None] * colour
         mixed = mixed / both.clamp(min=1e-6)[:, None]
-        return Seen(both, mixed, {"density": moving, "rgb": colour, "out": out, "x": points.x})
+        return Sampled(both, mixed, {"density": moving, "rgb": colour, "out": out, "x": points.x})
 
     def dynamic(
-        self, points: Points
+        self, points: FieldPoints
     ) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 3"], Float[Tensor, "n 8"]]:
         """Density and colour of what moves; flows and weights of occlusion before their activations."""
         encoded = torch.cat([self.place(points.x), self.time(2 * points.time[:, None] - 1)], 1)
@@ -84,16 +84,15 @@ class SceneFlow(Field):
         """What stands."""
         return list(self.stands.parameters())
 
-    def losses(self, field: FieldTraining, rays: Rays, seen: Rendered) -> dict[str, Tensor]:
+    def losses(self, field: FieldTraining, rays: RayBatch, seen: RenderedRays) -> dict[str, Tensor]:
         """What moves looks the same a moment before and after where its flow leads; flows are small and even."""
-        assert rays.rgb is not None and rays.frame is not None and rays.pixel is not None
-        who = ~rays.rest
+        who = rays.frame >= 0
         if not bool(who.any()):
             return {}
         n, own = seen.t.shape[1], who.repeat_interleave(seen.t.shape[1])
         density, rgb, out, x = (seen.more[name][own] for name in ("density", "rgb", "out", "x"))
         t, last = seen.t[who], field.last(rays)[who]
-        d, time = rays.d[who].repeat_interleave(n, 0), rays.time[who].repeat_interleave(n)
+        d, time = rays.rays_d[who].repeat_interleave(n, 0), rays.time[who].repeat_interleave(n)
         weights = quadrature(density.reshape(-1, n), t, last)
         now, _ = field.composed(weights, rgb.reshape(-1, n, 3), t)
         true = rays.rgb[who]
@@ -101,7 +100,7 @@ class SceneFlow(Field):
         flows, visible = STEP * torch.tanh(out[:, :6]).reshape(-1, 2, 3), torch.sigmoid(out[:, 6:] + 2)
         for k, sign in ((0, 1.0), (1, -1.0)):
             inside = ((time + sign * self.gap >= -1e-6) & (time + sign * self.gap <= 1 + 1e-6)).float()
-            there = Points(x + flows[:, k], d, time + sign * self.gap, torch.zeros_like(time))
+            there = FieldPoints(x + flows[:, k], d, time + sign * self.gap, torch.zeros_like(time))
             other, colour, back = self.dynamic(there)
             back = STEP * torch.tanh(back[:, :6]).reshape(-1, 2, 3)[:, 1 - k]
             warped = quadrature(other.reshape(-1, n), t, last)
@@ -118,7 +117,7 @@ class SceneFlow(Field):
     def _optical(
         self,
         field: FieldTraining,
-        rays: Rays,
+        rays: RayBatch,
         who: Bool[Tensor, " R"],
         weights: Float[Tensor, "r n"],
         x: Float[Tensor, "r n 3"],
@@ -126,7 +125,6 @@ class SceneFlow(Field):
     ) -> dict[str, Tensor]:
         """Where the picture before shows what is seen now (their Eq. 12)."""
         flow = field.pictures.flow
-        assert rays.frame is not None and rays.pixel is not None
         if flow is None:
             return {}
         target, before, trusted, _ = flow.at(rays.frame[who], rays.pixel[who])

@@ -1,42 +1,20 @@
 """The pictures of a task as rays to train on, and the space that rays go through."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from devrf.capture.scene import Scene, plain_colour
-from devrf.lab.methods.protocol import Task
-from devrf.reconstruct.rendering.rays import RaySet
+from devrf.lab.methods.protocol import MethodTask
+from devrf.reconstruct.rendering.rays import RayBatch, RaySet
 from devrf.reconstruct.sampling.pixel_flow import PixelFlow
 
 OUTER = 1e3  # box units: surroundings end here
 
 
-@dataclass(frozen=True)
-class Rays:
-    """Rays to train on or to render.
-
-    Attributes:
-        o, d: Origins and unit directions.
-        time: In [0, 1].
-        rest: Whether the scene is at rest: nothing has moved then, whatever `time` says.
-        rgb: True colours; None where they are not known.
-        frame: Picture of each ray among its task's moving pictures, and its pixel there; -1 in the sweep.
-        pixel: See `frame`.
-    """
-
-    o: Float[Tensor, "R 3"]
-    d: Float[Tensor, "R 3"]
-    time: Float[Tensor, " R"]
-    rest: Bool[Tensor, " R"]
-    rgb: Float[Tensor, "R 3"] | None = None
-    frame: Int[Tensor, " R"] | None = None
-    pixel: Int[Tensor, " R"] | None = None
-
-
-class Pictures:
+class TaskPictures:
     """Training pictures of a task.
 
     Attributes:
@@ -45,7 +23,7 @@ class Pictures:
         flow: Of the moving pictures; None where there is none.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: MethodTask) -> None:
         scene = task.boxed
 
         def rays(frames: tuple) -> RaySet | None:
@@ -61,34 +39,28 @@ class Pictures:
         found = PixelFlow(self.moving, task.flows)
         self.flow = found if found.pictures else None
 
-    def draw(self, n: int, generator: torch.Generator, static_share: float, one_moment: bool = False) -> Rays:
+    def draw(
+        self, n: int, generator: torch.Generator, static_share: float, one_moment: bool = False
+    ) -> RayBatch:
         """Draw `n` rays, a share of them of the sweep where there is one; those in motion of all moments, or of one."""
         still = round(n * static_share) if self.static is not None else 0
-        parts = []
-        if still and self.static is not None:
-            batch = self.static.draw(still, generator)
-            parts.append((batch, torch.full_like(batch.time, self.rest_time), True))
-        if n > still:
-            batch = self.moving.draw(n - still, generator, self._of_one(generator) if one_moment else None)
-            parts.append((batch, batch.time, False))
-
-        def joined(values: list[Tensor]) -> Tensor:
-            return torch.cat(values)
-
-        return Rays(
-            joined([b.rays_o for b, _, _ in parts]),
-            joined([b.rays_d for b, _, _ in parts]),
-            joined([time for _, time, _ in parts]),
-            joined([torch.full_like(time, rest, dtype=torch.bool) for _, time, rest in parts]),
-            joined([b.rgb for b, _, _ in parts]),
-            joined([torch.full_like(b.frame, -1) if rest else b.frame for b, _, rest in parts]),
-            joined([b.pixel for b, _, _ in parts]),
-        )
+        frames = self._of_one(generator) if one_moment else None
+        moving = self.moving.draw(n - still, generator, frames) if n > still else None
+        if not still or self.static is None:
+            assert moving is not None
+            return moving
+        swept = at_rest(self.static.draw(still, generator), self.rest_time)
+        return swept if moving is None else swept.joined(moving)
 
     def _of_one(self, generator: torch.Generator) -> Int[Tensor, " f"]:
         """Pictures of a moment drawn at random."""
         moment = self.moments[int(torch.randint(len(self.moments), (1,), generator=generator))]
         return (self.moving.times == moment).nonzero()[:, 0]
+
+
+def at_rest(rays: RayBatch, rest_time: float) -> RayBatch:
+    """Rays of the scene at rest: of no moving picture, which their number -1 says."""
+    return replace(rays, time=torch.full_like(rays.time, rest_time), frame=torch.full_like(rays.frame, -1))
 
 
 @dataclass(frozen=True)

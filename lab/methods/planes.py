@@ -13,11 +13,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from devrf.lab.methods.field import Field, FieldMethod, FieldTraining, Points, Rendered, Seen, Settings
+from devrf.lab.methods.field import (
+    FieldMethod,
+    FieldPoints,
+    FieldTraining,
+    RadianceField,
+    RenderedRays,
+    Sampled,
+    Settings,
+)
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding
-from devrf.lab.methods.pictures import Pictures, Rays
-from devrf.lab.methods.protocol import Task
+from devrf.lab.methods.pictures import TaskPictures
+from devrf.lab.methods.protocol import MethodTask
+from devrf.reconstruct.rendering.rays import RayBatch
 
 SETTINGS: dict[Size, Settings] = {
     "small": Settings(rays=1024, samples=(32, 32), rate=2e-2, last_rate=1e-3),
@@ -34,7 +43,7 @@ OPPOSITE = ((0, 5), (1, 4), (3, 2))  # planes that complement each other: xy and
 VARIATION, JERKS, CHANGES = 2e-4, 1e-3, 1e-4
 
 
-class Planes(Field):
+class Planes(RadianceField):
     """Six planes at each resolution."""
 
     def __init__(self, size: Size, moments: Float[Tensor, " t"], rest_time: float, hex_plane: bool) -> None:
@@ -61,14 +70,14 @@ class Planes(Field):
             nn.Sigmoid(),
         )
 
-    def forward(self, points: Points) -> Seen:
+    def forward(self, points: FieldPoints) -> Sampled:
         """Density and colour at a time; at rest, at the time of rest."""
         time = torch.where(points.rest > 0, self.rest_time, points.time)
         place = torch.cat([points.x, 2 * time[:, None] - 1], 1)
         found = [self._level(planes, place) for planes in self.levels()]
         h = self.density(torch.cat(found, 1))
         rgb = self.colour(torch.cat([h[:, 1:], self.direction(points.d)], 1))
-        return Seen(nn.functional.softplus(10 * h[:, 0] - 1), rgb, {})
+        return Sampled(nn.functional.softplus(10 * h[:, 0] - 1), rgb, {})
 
     def levels(self) -> list[list[nn.Parameter]]:
         """The six planes of each resolution."""
@@ -81,7 +90,7 @@ class Planes(Field):
             return torch.cat([each[a] * each[b] for a, b in OPPOSITE], 1)
         return torch.stack(each).prod(0)
 
-    def losses(self, field: FieldTraining, rays: Rays, seen: Rendered) -> dict[str, Tensor]:
+    def losses(self, field: FieldTraining, rays: RayBatch, seen: RenderedRays) -> dict[str, Tensor]:
         """Even in space, without jerks in time, mostly at rest."""
         return self.regularised()
 
@@ -121,7 +130,7 @@ def sampled(plane: Float[Tensor, "1 c h w"], at: Float[Tensor, "n 2"]) -> Float[
 def method(hex_plane: bool) -> FieldMethod:
     """One of both."""
 
-    def make(task: Task, pictures: Pictures) -> Planes:
+    def make(task: MethodTask, pictures: TaskPictures) -> Planes:
         return Planes(task.size, pictures.moments, pictures.rest_time, hex_plane)
 
     return FieldMethod(make, SETTINGS)

@@ -18,7 +18,7 @@ from devrf.reconstruct.options import Options
 
 
 @dataclass(frozen=True)
-class Task:
+class MethodTask:
     """What a method is given, the same for all of them.
 
     Attributes:
@@ -48,7 +48,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Budget:
+class TimeBudget:
     """How long a method may train.
 
     Attributes:
@@ -59,13 +59,13 @@ class Budget:
     """
 
     seconds: float
-    look: Callable[["Trained", float], None] = lambda model, seconds: None
+    look: Callable[["TrainedModel", float], None] = lambda model, seconds: None
     progress: Progress = no_progress
     steps: int | None = None
 
 
 @runtime_checkable
-class Trained(Protocol):
+class TrainedModel(Protocol):
     """A model that renders."""
 
     @property
@@ -90,11 +90,11 @@ class Method(Protocol):
 
     regimes: Sequence[Regime]
 
-    def why_not(self, task: Task) -> str | None:
+    def why_not(self, task: MethodTask) -> str | None:
         """Why it cannot do a task; None: it can. Asked before anything is trained."""
         ...
 
-    def train(self, task: Task, budget: Budget) -> Trained:
+    def train(self, task: MethodTask, budget: TimeBudget) -> TrainedModel:
         """Train.
 
         Raises:

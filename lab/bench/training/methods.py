@@ -20,11 +20,10 @@ from devrf.lab.bench.training.progress_views import Looks
 from devrf.lab.bench.training.trainings import Bench, device_name, spread
 from devrf.lab.methods.method_table import METHODS, OURS, Regime, Size
 from devrf.lab.methods.paper_table import SYNTHETIC, TABLE_1
-from devrf.lab.methods.protocol import Budget, Method, Task, Trained
+from devrf.lab.methods.protocol import Method, MethodTask, TimeBudget, TrainedModel
 from devrf.pipelines.inputs.flow_clips import flow_estimator
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 
-LOOK_SHARE = 1 / 12  # of the budget, to the second look of a method that says itself when it looks
 GOAL_FASTER = 20.0  # times, that ours reaches another's quality sooner
 SIDE = 240  # pixels of the longer side of a picture beside others
 
@@ -47,6 +46,10 @@ class Contest:
     seconds: float
     steps: int | None
     seeds: Sequence[int]
+
+    def folder(self, name: str) -> str:
+        """Of a method's training, below its seed's."""
+        return f"{name}-{self.regime}-{self.size}-{self.seconds:g}s"
 
 
 def run_methods(bench: Bench, contest: Contest, json_path: Path) -> list[Row]:
@@ -72,7 +75,7 @@ def run_methods(bench: Bench, contest: Contest, json_path: Path) -> list[Row]:
     return rows
 
 
-def check(name: str, method: Method, task: Task) -> None:
+def check(name: str, method: Method, task: MethodTask) -> None:
     """Refuse what a method cannot do.
 
     Raises:
@@ -92,9 +95,9 @@ def check(name: str, method: Method, task: Task) -> None:
         raise InputError("method-unfit", f"{name}: {why}; leave it out of --methods")
 
 
-def _task(bench: Bench, contest: Contest, seed: int) -> Task:
+def _task(bench: Bench, contest: Contest, seed: int) -> MethodTask:
     config, device = bench.run.config, bench.run.device
-    return Task(
+    return MethodTask(
         bench.scene,
         bench.flows,
         contest.regime,
@@ -108,16 +111,16 @@ def _task(bench: Bench, contest: Contest, seed: int) -> Task:
 
 def _measured(bench: Bench, contest: Contest, name: str, method: Method, seed: int) -> Measured:
     """One method trained and scored, now or when it was before."""
-    folder = f"{name}-{contest.regime}-{contest.size}-{contest.seconds:g}s"
+    folder = contest.folder(name)
 
     def train(checkpoint: Checkpoint, progress: Progress) -> dict[str, Any]:
-        looks, last = Looks(bench.scene, contest.seconds * LOOK_SHARE), [0.0]
+        looks, last = Looks(bench.scene), [0.0]
 
-        def look(model: Trained, seconds: float) -> None:
+        def look(model: TrainedModel, seconds: float) -> None:
             last[0] = seconds
             looks.at(partial(_colours, model), seconds)
 
-        budget = Budget(contest.seconds, look, progress, contest.steps)
+        budget = TimeBudget(contest.seconds, look, progress, contest.steps)
         model = method.train(_task(bench, contest, seed), budget)
         result = bench.scores(bench.scene, partial(_colours, model), bench.out / f"seed{seed}" / folder)
         return result | {"looks": looks.taken(), "seconds": last[0], "model_mb": model.megabytes}
@@ -129,7 +132,7 @@ def _measured(bench: Bench, contest: Contest, name: str, method: Method, seed: i
     )
 
 
-def _colours(model: Trained, camera: Camera, time: float | None) -> np.ndarray:
+def _colours(model: TrainedModel, camera: Camera, time: float | None) -> np.ndarray:
     return model.render(camera, time)[0]
 
 
@@ -211,8 +214,7 @@ def _beside(bench: Bench, contest: Contest, names: Sequence[str], path: Path) ->
     """The same test view as it is and as each method renders it, errors below."""
     tiles: list[tuple[Path, Path]] = []
     for name in names:
-        folder = f"{name}-{contest.regime}-{contest.size}-{contest.seconds:g}s"
-        views = sorted((bench.out / f"seed{contest.seeds[0]}" / folder).rglob("*_error.png"))
+        views = sorted((bench.out / f"seed{contest.seeds[0]}" / contest.folder(name)).rglob("*_error.png"))
         if views:
             error = views[len(views) // 2]
             tiles.append((error.with_name(error.name.replace("_error", "_rendered")), error))

@@ -20,10 +20,10 @@ class Looks:
 
     Args:
         scene: Its moving test views are looked at.
-        every_s: Seconds of training to the second look; later ones come less often.
+        every_s: Seconds of training to the second look of a `Watch`; later ones come less often.
     """
 
-    def __init__(self, scene: Scene, every_s: float) -> None:
+    def __init__(self, scene: Scene, every_s: float = 0.0) -> None:
         scene = scene.in_box_frame()
         test = sorted((f for f in scene.dynamic if f.split == "test"), key=lambda f: (f.time or 0.0, f.index))
         chosen = sorted({round(n) for n in np.linspace(0, len(test) - 1, min(VIEWS, len(test)))})

@@ -8,10 +8,10 @@ import pytest
 from devrf.capture.formats.datasets import read_dataset
 from devrf.flow.dis import DisFlow
 from devrf.lab.methods.method_table import Regime
-from devrf.lab.methods.protocol import Task
+from devrf.lab.methods.protocol import MethodTask
 from devrf.reconstruct.options import preset
 
-MakeTask = Callable[..., Task]
+MakeTask = Callable[..., MethodTask]
 
 
 @pytest.fixture(scope="session")
@@ -19,7 +19,7 @@ def task(arm: Path) -> MakeTask:
     """Makes a task of the arm, 32 x 32 pictures of three moments, for a regime."""
     scene = read_dataset("devrf", arm)
 
-    def make(regime: Regime = "joint") -> Task:
-        return Task(scene, {}, regime, "small", "cpu", 0, lambda name: preset(name), DisFlow)
+    def make(regime: Regime = "joint") -> MethodTask:
+        return MethodTask(scene, {}, regime, "small", "cpu", 0, lambda name: preset(name), DisFlow)
 
     return make

@@ -7,29 +7,29 @@ import torch
 from scipy.linalg import expm
 
 from devrf.lab.methods.d_nerf import DNerf
-from devrf.lab.methods.field import FieldTraining, Points, Settings, drawn_again, quadrature
+from devrf.lab.methods.field import FieldPoints, FieldTraining, Settings, drawn_again, quadrature
 from devrf.lab.methods.hyper_nerf import HyperNerf
 from devrf.lab.methods.nerfies import Nerfies, elastic, moved
 from devrf.lab.methods.networks import Codes, Encoding, window
 from devrf.lab.methods.neural_volumes import NeuralVolumes
 from devrf.lab.methods.nsff import CYCLE, STEP, SceneFlow
-from devrf.lab.methods.pictures import Pictures, Space
+from devrf.lab.methods.pictures import Space, TaskPictures
 from devrf.lab.methods.planes import IN_TIME, Planes
 
 MOMENTS = torch.linspace(0, 1, 5)
 
 
-def some_points(n: int = 64, rest: float = 0.0) -> Points:
+def some_points(n: int = 64, rest: float = 0.0) -> FieldPoints:
     """Points anywhere in the box at any time."""
     generator = torch.Generator().manual_seed(3)
     x = 2 * torch.rand(n, 3, generator=generator) - 1
     d = torch.nn.functional.normalize(torch.randn(n, 3, generator=generator), dim=1)
-    return Points(x, d, torch.rand(n, generator=generator), torch.full((n,), rest))
+    return FieldPoints(x, d, torch.rand(n, generator=generator), torch.full((n,), rest))
 
 
-def at(points: Points, **changes: torch.Tensor) -> Points:
+def at(points: FieldPoints, **changes: torch.Tensor) -> FieldPoints:
     """The same with other values."""
-    return Points(**(vars(points) | changes))
+    return FieldPoints(**(vars(points) | changes))
 
 
 def test_a_screw_is_the_exponential_of_its_twist():
@@ -138,7 +138,7 @@ def test_the_slice_decides_what_the_template_shows():
 
 def test_flow_there_and_back_costs_nothing(task):
     torch.manual_seed(0)
-    pictures = Pictures(task())
+    pictures = TaskPictures(task())
     field = SceneFlow("small", pictures.moments)
     torch.nn.init.zeros_(field.flow.weight)
     training = FieldTraining(task(), field, pictures, Settings(6, (10, 0), 1e-3, 1e-3))
