@@ -41,7 +41,7 @@ def world_from_rig(world: Mapping[str, Camera], rig: Mapping[str, Camera]) -> Fl
 
 
 @dataclass(frozen=True)
-class Stood:
+class PlacedRig:
     """A rig in another world.
 
     Attributes:
@@ -55,24 +55,24 @@ class Stood:
     off: dict[str, float]
 
 
-def rig_in_world(rig: Mapping[str, Camera], world: Mapping[str, Camera], most: float) -> Stood:
+def rig_in_world(rig: Mapping[str, Camera], world: Mapping[str, Camera], most: float) -> PlacedRig:
     """Where a rig stands by the places of its cameras, without those that were moved since it was calibrated.
 
     While a camera is off by more than `most` and `TELLING` others are left, the one without which these fit best goes.
     """
-    stood, names = _stood(rig, world, list(rig)), list(rig)
-    while max(stood.off[n] for n in names) > most and len(names) > TELLING:
-        tries = [_stood(rig, world, [n for n in names if n != moved]) for moved in names]
-        stood = min(tries, key=lambda one: max(one.off[n] for n in one.fitted))
-        names = list(stood.fitted)
-    return stood
+    placed, names = _placed(rig, world, list(rig)), list(rig)
+    while max(placed.off[n] for n in names) > most and len(names) > TELLING:
+        tries = [_placed(rig, world, [n for n in names if n != moved]) for moved in names]
+        placed = min(tries, key=lambda one: max(one.off[n] for n in one.fitted))
+        names = list(placed.fitted)
+    return placed
 
 
-def _stood(rig: Mapping[str, Camera], world: Mapping[str, Camera], names: list[str]) -> Stood:
+def _placed(rig: Mapping[str, Camera], world: Mapping[str, Camera], names: list[str]) -> PlacedRig:
     a, b = (np.array([cameras[n].centre for n in names]) for cameras in (rig, world))
     found = similarity(a, b)
     off = {n: float(np.linalg.norm(c.moved(found).centre - world[n].centre)) for n, c in rig.items()}
-    return Stood(found, tuple(names), off)
+    return PlacedRig(found, tuple(names), off)
 
 
 def disagreement(world: Mapping[str, Camera], rig: Mapping[str, Camera]) -> dict[str, tuple[float, float]]:

@@ -1,7 +1,7 @@
 """Masks of what moves or reflects in a sweep: black is ignored (COLMAP's convention).
 
 A picture's mask has its size and its name plus `.png` (`IMG_1.jpg.png`), or its name with `.png` instead
-(`IMG_1.png`); a film's frame is called by its number (`000012.png` or `12.png`; `capture/mattes/whose.py`).
+(`IMG_1.png`); a film's frame is called by its number (`000012.png` or `12.png`; `capture/mattes/matched_files.py`).
 """
 
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from devrf.capture.mattes.whose import Whose, files_of
+from devrf.capture.mattes.matched_files import files_of
 from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.system.errors import InputError
@@ -20,14 +20,6 @@ BLACK_BELOW = 128  # of 255; masks saved as JPEG or resized are not quite black 
 LISTED = 4
 
 
-def masks_of(folder: Path, pictures: Mapping[str, str], count: int | None = None) -> Whose:
-    """Which mask is whose, by the position of each picture; arguments and errors as of `prepare_masks`."""
-    called = {
-        int(Path(n).stem): None if Path(n).name == original else original for n, original in pictures.items()
-    }
-    return files_of(sorted(folder.glob("*.png")), called, count)
-
-
 def prepare_masks(
     folder: Path,
     pictures: Mapping[str, str],
@@ -35,7 +27,7 @@ def prepare_masks(
     out: Path,
     turns: Mapping[str, Upright] | None = None,
     count: int | None = None,
-) -> list[str]:
+) -> tuple[list[str], bool]:
     """Write every picture's mask, what is ignored grown a little, where COLMAP looks for it.
 
     Args:
@@ -46,7 +38,7 @@ def prepare_masks(
         turns: From each picture as its own tag makes it upright to the one that is used; None: they are the same.
         count: Frames or photos, used or not; None: not known.
     Returns:
-        Pictures without a mask; all of them is used.
+        Pictures without a mask, all of which is used; and whether masks count pictures from 1.
     Raises:
         InputError: No folder, no mask at all, a mask of another size, or one that ignores everything.
         CaptureError: They are called like the photos, but one number off.
@@ -55,9 +47,10 @@ def prepare_masks(
         text = f"{folder}: no such folder; check calibration.static_poses.masks in scene.yaml"
         raise InputError("folder-missing", text)
     without, problems = [], []
-    whose = masks_of(folder, pictures, count)
+    called = {int(Path(n).stem): None if Path(n).name == filmed else filmed for n, filmed in pictures.items()}
+    found = files_of(sorted(folder.glob("*.png")), called, count)
     for name, original in pictures.items():
-        file = whose.files.get(int(Path(name).stem))
+        file = found.files.get(int(Path(name).stem))
         if file is None:
             without.append(name)
             continue
@@ -88,4 +81,4 @@ def prepare_masks(
         example = next(iter(pictures.values()))
         wrong = f"{folder}: holds no mask of the sweep's {len(pictures)} pictures"
         raise InputError("mask-missing", f"{wrong}; expected names such as {example}.png")
-    return without
+    return without, found.from_1

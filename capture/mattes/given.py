@@ -1,7 +1,7 @@
 """Mattes that people bring: a folder per camera, `static` for the sweep, a file per picture.
 
 A matte is called like its picture (`IMG_1.png` or `IMG_1.jpg.png` for a photo) or by the number of the frame in
-its clip (`12.png`, `000012.png`, `frame_000012.png`; `whose.py`). White is the subject; grey is partly
+its clip (`12.png`, `000012.png`, `frame_000012.png`; `matched_files.py`). White is the subject; grey is partly
 transparent; of a file with transparency its opacity counts. Upright, of the picture's size or shape.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from devrf.capture.frames import some
-from devrf.capture.mattes.whose import Whose, files_of
+from devrf.capture.mattes.matched_files import MatchedFiles, files_of
 from devrf.capture.orientation import Upright
 from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, read_pixels
 from devrf.capture.system.errors import CaptureError, InputError
@@ -54,7 +54,7 @@ def cameras_with_mattes(folder: Path, cameras: Sequence[str], sweep: bool) -> tu
     return found
 
 
-def find_mattes(folder: Path, names: Mapping[int, str | None], count: int | None = None) -> Whose:
+def find_mattes(folder: Path, names: Mapping[int, str | None], count: int | None = None) -> MatchedFiles:
     """The matte file of every picture.
 
     Args:

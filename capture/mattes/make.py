@@ -65,8 +65,8 @@ def given_mattes(
     clip: MatteClip, folder: Path, inverted: bool | None, out: Path, progress: Progress = no_progress
 ) -> CameraMattes:
     """Mattes that people bring, out of the camera's folder; `inverted` None finds out."""
-    whose = find_mattes(folder, clip.names, clip.count)
-    found = [whose.files[index] for index in clip.names]
+    matched = find_mattes(folder, clip.names, clip.count)
+    found = [matched.files[index] for index in clip.names]
     swapped = is_inverted(found) if inverted is None else inverted
 
     def source(n: int, picture: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w"]:
@@ -74,7 +74,7 @@ def given_mattes(
         return read_given(found[n], picture.shape[1], picture.shape[0], swapped, turn)
 
     files, facts = _write(clip, source, out, progress)
-    return CameraMattes(files, facts, inverted=swapped and inverted is None, from_1=whose.from_1)
+    return CameraMattes(files, facts, inverted=swapped and inverted is None, from_1=matched.from_1)
 
 
 def chroma_mattes(

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from devrf.calibration.boards.calibrate import BoardCalibration
 from devrf.capture.frames import some
 from devrf.capture.measure import Measure
-from devrf.pipelines.health.judge import judge, warns_at
+from devrf.pipelines.health.judge import refuses_at, warns_at
 
 MISREAD = 10.0  # times the median error: such a view was not a bad one, but misread
 BOW_SHARE = 0.003  # of the board's longer side: 1 mm of 33 cm, which moves the focal length by some tenths of a percent
@@ -14,7 +14,7 @@ MOST_CORNERS = 2  # of a picture, that the board may never have shown
 
 def fits(board: BoardCalibration) -> bool:
     """Whether a board's calibration is better than none."""
-    return judge([Measure("board-error", board.rms_px)])[0].verdict != "fail"
+    return board.rms_px <= refuses_at("board-error")
 
 
 def board_measures(name: str, board: BoardCalibration) -> Iterator[Measure]:

@@ -78,17 +78,20 @@ def entries() -> dict[str, Entry]:
 
 
 def warns_at(code: str) -> float:
-    """The bound from which on a code warns; of codes whose bound stands in the table only."""
-    bounds = entries()[code].high or entries()[code].low
-    assert bounds is not None and bounds[0] is not None
-    return float(bounds[0])
+    """The bound beyond which a code warns; of codes whose bound stands in the table only."""
+    return _bound(code, 0)
 
 
 def refuses_at(code: str) -> float:
-    """The bound beyond which a code refuses; of codes whose bound stands in the table only."""
+    """The bound beyond which it refuses; the same."""
+    return _bound(code, 1)
+
+
+def _bound(code: str, which: int) -> float:
     bounds = entries()[code].high or entries()[code].low
-    assert bounds is not None and bounds[1] is not None
-    return float(bounds[1])
+    bound = None if bounds is None else bounds[which]
+    assert bound is not None
+    return float(bound)
 
 
 def carried(code: str, values: Iterable[float | int]) -> bool:

@@ -10,7 +10,7 @@ from devrf.calibration.boards.calibrate import BoardCalibration, calibrate_intri
 from devrf.calibration.boards.find import find_board
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.sweep.devices import device_groups
-from devrf.calibration.sweep.masks import masks_of, prepare_masks
+from devrf.calibration.sweep.masks import prepare_masks
 from devrf.calibration.sweep.static_poses import (
     SweepModel,
     SweepOptions,
@@ -107,9 +107,9 @@ def recover_sweep(
             called = {n: Path(n).name if film else photos[frame.index] for n, frame in used.items()}
             re_turned = {n: frame.re_turned for n, frame in used.items()}
             count = len(sweep.frames) if film else len(photos)
-            without = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
+            without, from_1 = prepare_masks(folder, called, sizes, Path(masks), re_turned, count)
             notes["masks"] += [f"no mask: {some(without)}"] if without else []
-            if masks_of(folder, called, count).from_1:
+            if from_1:
                 notes["masks"].append(f"numbered from 1 to {count}, so that 1 is that of the first picture")
         pictures = SweepPictures(
             ingest / "frames",

@@ -1,6 +1,7 @@
 """What is lost is looked for again, and carried along by what is around it until it is found.
 
-It is looked for from other guesses: carried along, where it was, and as far away as flow finds it.
+It is looked for from other guesses: beside its neighbours as at rest or as it was before, and as far away as flow finds
+it.
 """
 
 from collections.abc import Iterator

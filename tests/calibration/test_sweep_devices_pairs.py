@@ -93,7 +93,7 @@ def masked(tmp_path, name, mask):
     folder.mkdir(exist_ok=True)
     cv2.imwrite(str(folder / name), mask)
     pictures = {"static/000000.jpg": "IMG_1.jpg", "static/000001.jpg": "IMG_2.jpg"}
-    return prepare_masks(folder, pictures, dict.fromkeys(pictures, (200, 100)), tmp_path / "out")
+    return prepare_masks(folder, pictures, dict.fromkeys(pictures, (200, 100)), tmp_path / "out")[0]
 
 
 def half(width: int = 200) -> np.ndarray:
@@ -121,7 +121,8 @@ def test_masks_of_a_film_may_be_numbered_from_1(tmp_path, numbers, masked):
         cv2.imwrite(str(folder / f"{k:04d}.png"), half() if k % 2 else np.full((100, 200), 255, np.uint8))
     pictures = {f"static/{n:06d}.jpg": f"{n:06d}.jpg" for n in range(4)}
     sizes = dict.fromkeys(pictures, (200, 100))
-    without = prepare_masks(folder, pictures, sizes, tmp_path / "out", count=4)
+    without, from_1 = prepare_masks(folder, pictures, sizes, tmp_path / "out", count=4)
+    assert from_1 == (max(numbers) == 4)
     given = [n for n, name in enumerate(pictures) if name not in without]
     black = [n for n in given if not read_pixels(tmp_path / f"out/static/{n:06d}.jpg.png").all()]
     assert black == masked

@@ -10,9 +10,9 @@ from tests.refused import refused
 from devrf.capture.mattes.chroma import find_key, is_screen_hue, parse_colour
 from devrf.capture.mattes.given import cameras_with_mattes, find_mattes, is_inverted, read_given
 from devrf.capture.mattes.make import MatteClip, chroma_mattes, given_mattes
+from devrf.capture.mattes.matched_files import files_of
 from devrf.capture.mattes.matte_facts import measure
 from devrf.capture.mattes.tidy import tidy
-from devrf.capture.mattes.whose import files_of
 from devrf.capture.photos.picture_files import read_pixels, write_png
 from devrf.capture.system.errors import CaptureError, InputError
 

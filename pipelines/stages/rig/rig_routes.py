@@ -232,14 +232,16 @@ def _given_into_sweep(job: RigJob, rig: Rig) -> Rig:
         job.measures += noted([f"{some(lost)} not found in the sweep, and placed as given"], "given")
     percent = 100 / max(float(np.median([c.details["median_distance"] for c in found.values()])), 1e-9)
     places = ({n: rig.cameras[n].camera for n in found}, {n: c.camera for n, c in found.items()})
-    stood = rig_in_world(*places, refuses_at("rig-given-moved") / percent)
-    unit = float(np.cbrt(np.linalg.det(stood.world_from_rig[:3, :3])))
-    world_from_given = np.diag([1 / unit, 1 / unit, 1 / unit, 1.0]) @ stood.world_from_rig
+    placed_rig = rig_in_world(*places, refuses_at("rig-given-moved") / percent)
+    unit = float(np.cbrt(np.linalg.det(placed_rig.world_from_rig[:3, :3])))
+    world_from_given = np.diag([1 / unit, 1 / unit, 1 / unit, 1.0]) @ placed_rig.world_from_rig
     cameras = {n: replace(c, camera=c.camera.moved(world_from_given)) for n, c in rig.cameras.items()}
-    job.measures.append(Measure("rig-given-moved", percent * max(stood.off[n] for n in stood.fitted)))
-    for name in found.keys() - set(stood.fitted):
+    job.measures.append(
+        Measure("rig-given-moved", percent * max(placed_rig.off[n] for n in placed_rig.fitted))
+    )
+    for name in found.keys() - set(placed_rig.fitted):
         cameras[name] = _scaled(found[name], 1 / unit)
-        off = percent * stood.off[name]
+        off = percent * placed_rig.off[name]
         job.measures.append(Measure("rig-given-moved", off, name, "one", refuses=False))
     return Rig(cameras, replace(rig.scale, factor=1 / unit), "given")
 

@@ -15,7 +15,7 @@ from devrf.capture.system.errors import CaptureError
 
 
 @dataclass(frozen=True)
-class Whose:
+class MatchedFiles:
     """The files of pictures.
 
     Attributes:
@@ -29,7 +29,9 @@ class Whose:
     from_1: bool = False
 
 
-def files_of(files: Sequence[Path], pictures: Mapping[int, str | None], count: int | None = None) -> Whose:
+def files_of(
+    files: Sequence[Path], pictures: Mapping[int, str | None], count: int | None = None
+) -> MatchedFiles:
     """The file of every picture that has one.
 
     Args:
@@ -48,11 +50,13 @@ def files_of(files: Sequence[Path], pictures: Mapping[int, str | None], count: i
     named = {n: by_name[s] for n, name in photos.items() if (s := Path(name).stem.lower()) in by_name}
     if named:
         _refuse_one_off(by_number, set(own.values()))
-        return Whose(named, numbers)
+        return MatchedFiles(named, numbers)
     if own and numbers and len(set(own.values())) == len(own) and numbers <= set(own.values()):
-        return Whose({n: by_number[k] for n, k in own.items() if k in by_number}, numbers)
+        return MatchedFiles({n: by_number[k] for n, k in own.items() if k in by_number}, numbers)
     from_1 = count is not None and max(numbers, default=0) == count and 0 not in numbers
-    return Whose({n: by_number[n + from_1] for n in pictures if n + from_1 in by_number}, numbers, from_1)
+    return MatchedFiles(
+        {n: by_number[n + from_1] for n in pictures if n + from_1 in by_number}, numbers, from_1
+    )
 
 
 def _refuse_one_off(files: Mapping[int, Path], photos: set[int]) -> None:
