@@ -17,6 +17,7 @@ from pathlib import Path
 from devrf.capture.system.durable import sync, sync_tree
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.capture.system.limits import TEXT_BYTES
+from devrf.capture.system.remove import remove_tree
 from devrf.pipelines.run_folder.lock import Lock
 from devrf.pipelines.run_folder.own_folder import is_run_folder
 from devrf.pipelines.stamps.stamp import STAMP
@@ -191,4 +192,4 @@ def _remove(folder: Path) -> None:
     """Remove a folder, the stamp first: what is left of it by a kill counts as nothing."""
     with suppress(OSError):  # what cannot be removed is the next run's
         (folder / STAMP).unlink()
-    shutil.rmtree(folder, ignore_errors=True)
+    remove_tree(folder)

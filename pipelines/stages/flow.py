@@ -4,7 +4,6 @@ Pairs are written to `.flow` in the run folder as they are found, and become the
 was stopped finds only those that are missing.
 """
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from devrf.capture.measure import noted
 from devrf.capture.scene import PosedFrame, load_image
 from devrf.capture.system.durable import write_json
 from devrf.capture.system.progress import part
+from devrf.capture.system.remove import remove_tree
 from devrf.flow.checks import FlowChecks
 from devrf.flow.clip import ClipPictures, clip_flow, gaps_of
 from devrf.flow.given import METHOD, given
@@ -63,7 +63,7 @@ def run(context: StageContext) -> None:
         checks[camera] = found if _stands_still(frames) else replace(found, shake_px=None)
     for camera in clips:
         (unfinished / camera).rename(context.out / camera)
-    shutil.rmtree(unfinished)
+    remove_tree(unfinished)
     method = METHOD if estimator is None else estimator.name
     content = {"method": method, "cameras": {name: asdict(check) for name, check in checks.items()}}
     write_json(context.out / "flow.json", content)
@@ -80,7 +80,7 @@ def _unfinished(context: StageContext) -> Path:
     folder = context.run_dir / UNFINISHED
     mark = folder / MADE_OF
     if not (mark.is_file() and mark.read_text() == made_of):
-        shutil.rmtree(folder, ignore_errors=True)
+        remove_tree(folder)
         folder.mkdir()
         mark.write_text(made_of)
     return folder

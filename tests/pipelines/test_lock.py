@@ -151,10 +151,14 @@ def test_without_locks_of_the_file_system_a_lease_decides_and_the_dead_are_known
         Lock(tmp_path).take()
         return
     says(tmp_path, pid=os.getppid())
-    touches = subprocess.Popen([sys.executable, "-c", f"import os; os.utime({str(tmp_path / LOCK)!r})"])
-    with refused("folder-busy", f"process {os.getppid()} ", kind=InputError):
-        Lock(tmp_path).take()
-    touches.wait()
+    touch = f"import os, time\nwhile True: os.utime({str(tmp_path / LOCK)!r}); time.sleep(0.1)"
+    touches = subprocess.Popen([sys.executable, "-c", touch])
+    try:
+        with refused("folder-busy", f"process {os.getppid()} ", kind=InputError):
+            Lock(tmp_path).take()
+    finally:
+        touches.kill()
+        touches.wait()
 
 
 def test_who_has_lost_it_is_told_and_leaves_it_alone(tmp_path: Path) -> None:

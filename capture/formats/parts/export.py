@@ -19,6 +19,7 @@ from devrf.capture.photos.picture_files import write_png
 from devrf.capture.scene import PosedFrame, Scene, plain_colour, read_matted
 from devrf.capture.system.errors import CaptureError, InputError
 from devrf.capture.system.progress import Progress, no_progress
+from devrf.capture.system.remove import remove_tree
 from devrf.capture.system.writable import check_folder
 
 MARKER = ".devrf-export"  # holds the name of the format, and those of all files on a line each
@@ -78,7 +79,7 @@ def new_folder(folder: Path, dataset_format: str) -> Iterator[Path]:
         raise InputError("folder-exists", f"{wrong}; move it away, or name another folder")
     if new.exists():
         with _held(new, folder):  # not that of an export that is being written
-            shutil.rmtree(new, ignore_errors=True)
+            remove_tree(new)
     new.mkdir()
     with _held(new, folder):
         try:
@@ -88,10 +89,10 @@ def new_folder(folder: Path, dataset_format: str) -> Iterator[Path]:
             (new / MARKER).write_bytes(b"\n".join([dataset_format.encode(), *names, b""]))
             check_target(folder, dataset_format)  # what came meanwhile
             if folder.exists():
-                shutil.rmtree(folder)
+                remove_tree(folder)
             new.rename(folder)
         except BaseException:
-            shutil.rmtree(new, ignore_errors=True)
+            remove_tree(new)
             raise
 
 
