@@ -5,15 +5,17 @@ from jaxtyping import Float
 
 from devrf.capture.scene import Scene
 from devrf.reconstruct.fields.contracted_background import REACH
+from devrf.reconstruct.kernels.background import Contraction
 from devrf.reconstruct.sampling.pictures import training
 
 FARTHEST_REACH = 24.0  # beyond, depth gets too coarse near the box; and parallax is small
-REACH_PERCENTILE = 98.0  # of the points' distances: a few are wrong
+# Of the points' distances: of most, and of all but those that are wrong. Two in a hundred can be all that windows show.
+MOST, ALL = 95.0, 99.5
 REACH_MARGIN = 1.15  # walls are a little behind what stands before them
 
 
-def reach_of(scene: Scene) -> float:
-    """How far the surroundings are modelled, in half sizes of the box: to training cameras and the farthest points.
+def contraction_of(scene: Scene) -> Contraction:
+    """How space is contracted: it reaches to training cameras and to the farthest points, and is bent where most end.
 
     Args:
         scene: In the box frame.
@@ -24,7 +26,10 @@ def reach_of(scene: Scene) -> float:
         return np.abs((xyz - (lo + hi) / 2) * 2 / (hi - lo)).max(axis=1)
 
     if scene.points is None or not len(scene.points.xyz):
-        return FARTHEST_REACH  # nobody knows where walls are: what is far hardly moves against what is near
-    cameras = away(np.array([frame.camera.centre for frame in training(scene.frames)]))
-    farthest = max(float(cameras.max()), float(np.percentile(away(scene.points.xyz), REACH_PERCENTILE)))
-    return min(max(REACH, REACH_MARGIN * farthest), FARTHEST_REACH)
+        return Contraction(
+            FARTHEST_REACH
+        )  # walls may be anywhere: what is far hardly moves against what is near
+    cameras = away(np.array([frame.camera.centre for frame in training(scene.frames)])).max()
+    most, every = np.maximum(cameras, np.percentile(away(scene.points.xyz), [MOST, ALL])).tolist()
+    bend, reach = (min(max(REACH, REACH_MARGIN * far), FARTHEST_REACH) for far in (most, every))
+    return Contraction(reach, bend)

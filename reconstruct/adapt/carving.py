@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.kernels.background import contract
+from devrf.reconstruct.kernels.background import Contraction, contract
 
 LEAST_LINES = 2  # of sight through a vertex' cell, before it counts as free: one may be a wrong match
 # ends in a vertex' neighbourhood over lines through it, up to which it is free all the same
@@ -43,7 +43,7 @@ def carve(
     aabb: Float[Tensor, "2 3"],
     size: int,
     near: float,
-    reach: float,
+    contraction: Contraction,
 ) -> tuple[Bool[Tensor, "N N N"], Bool[Tensor, "N N N"]]:
     """Vertices of the contracted cube (kernels/background.py) that are free, and those at a surface.
 
@@ -53,14 +53,14 @@ def carve(
         aabb: The box in the middle.
         size: Vertices of the cube along each axis.
         near: Distance from the centres at which lines begin.
-        reach: Half sizes of the box that the cube holds.
+        contraction: Of space to the cube.
     """
     passed, ended = (torch.zeros(size**3) for _ in range(2))
     middle, half = (aabb[0] + aabb[1]) / 2, (aabb[1] - aabb[0]) / 2
     voxel = 4 / (size - 1)
 
     def vertex(x: Tensor) -> Tensor:
-        at = ((contract((x - middle) / half, reach) + 2) / voxel + 0.5).long().clamp(0, size - 1)
+        at = ((contract((x - middle) / half, contraction) + 2) / voxel + 0.5).long().clamp(0, size - 1)
         return (at[:, 0] * size + at[:, 1]) * size + at[:, 2]
 
     for a, b in zip(start.split(BLOCK), end.split(BLOCK), strict=True):

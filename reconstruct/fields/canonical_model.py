@@ -48,6 +48,6 @@ class RestModel:
             "far": self.far,
         }
         if shell is not None:
-            names = ("size", "final", "near", "reach")
-            out["shell"] = {name: getattr(shell, name) for name in names}
+            out["shell"] = {name: getattr(shell, name) for name in ("size", "final", "near")}
+            out["shell"] |= asdict(shell.contraction)
         return out

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from devrf.reconstruct.fields.canonical import EMPTY, shift_for
 from devrf.reconstruct.fields.grids import grown, upsample, vertices
-from devrf.reconstruct.kernels.background import Surroundings, background
+from devrf.reconstruct.kernels.background import Contraction, Surroundings, background
 from devrf.reconstruct.kernels.march import RaySegments
 from devrf.reconstruct.kernels.occupancy import distance
 
@@ -42,7 +42,7 @@ class Shell:
         grid: Raw density and colour [N, N, N, 4].
         final: N at the end of training; densities are per voxel of that size.
         near: Where rays start.
-        reach: Half sizes of the box that the grid holds; what is farther lies on its faces, where rays end.
+        contraction: Of space to the grid's cube; what is beyond its reach lies on the faces, where rays end.
         inside: The box's inside is modelled here, too (for a first, coarse model of everything).
         points: Points of the scene, by which cameras have near planes of their own (`near_plane.py`); on the CPU.
         distance: Vertices to the nearest occupied vertex [N, N, N].
@@ -52,7 +52,7 @@ class Shell:
     grid: Float[Tensor, "N N N 4"]
     final: int
     near: float
-    reach: float = REACH
+    contraction: Contraction = Contraction(REACH)
     inside: bool = False
     points: Float[Tensor, "n 3"] = field(default_factory=lambda: torch.zeros(0, 3))
 
@@ -94,7 +94,7 @@ class Shell:
             self.interval,
             step,
             self.alpha_threshold / 10,
-            self.reach,
+            self.contraction,
         )
 
     def render(

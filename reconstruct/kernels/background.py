@@ -7,10 +7,11 @@ The surroundings are one grid over space contracted to [-2, 2]^3: u is the posit
 from its centre, r = max |u|, and y = u inside the box, (1 + log r / log reach) u / r outside, at most 2. Like
 mip-NeRF 360's (2 - 1/r) u / r (Barron et al. 2022, Eq. 10; here with the largest component in place of the
 length) it shrinks space with distance, but in step with a pixel's footprint, as 1/r: a room's walls, three or
-four half sizes away, keep twice the resolution in depth. What is farther than the reach lies on the cube's faces,
-where rays end. The grid holds raw density and raw colour; steps grow with r. The forward pass keeps the distance, raw
-density and colour of each sample that counts; the backward pass only scatters: what lies behind sample i is the final
-colour minus what has been passed.
+four half sizes away, keep twice the resolution in depth. Where little lies far behind the rest, as a garden behind a
+window, log r is bent: most of the depth is spent on what is near. What is farther than the reach lies on the cube's
+faces, where rays end. The grid holds raw density and raw colour; steps grow with r. The forward pass keeps the
+distance, raw density and colour of each sample that counts; the backward pass only scatters: what lies behind sample i
+is the final colour minus what has been passed.
 """
 
 import math
@@ -27,9 +28,31 @@ from devrf.reconstruct.kernels.launch import ODD, array, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest, steps_away
 from devrf.reconstruct.kernels.trilinear import gathered_in, look_up, scatter, trilinear_ref
 
+NEAR_SHARE = 0.85  # of the cube's depth outside the box
 PARALLEL = 1e-9  # speeds along an axis below this are held to it: the ray leaves the cube by another face
 LEAST_SPEED = wp.constant(PARALLEL)
 vec4 = wp.types.vector(length=4, dtype=wp.float32)
+
+
+@dataclass(frozen=True)
+class Contraction:
+    """How space around the box is contracted.
+
+    Attributes:
+        reach: Half sizes of the box that the cube holds.
+        bend: Half sizes up to which space gets `NEAR_SHARE` of the cube's depth, if it would get less; 1: it does not.
+    """
+
+    reach: float
+    bend: float = 1.0
+
+    @property
+    def slopes(self) -> tuple[float, float, float]:
+        """Depth in the cube per logarithm of the radius, up to a logarithm, and beyond."""
+        whole, bend = math.log(self.reach), math.log(self.bend)
+        if not 0 < bend < NEAR_SHARE * whole:
+            return 1 / whole, whole, 0.0
+        return NEAR_SHARE / bend, bend, (1 - NEAR_SHARE) / (whole - bend)
 
 
 @dataclass(frozen=True)
@@ -44,7 +67,7 @@ class Surroundings:
         interval: Step length in base voxels.
         step: Step length in contracted units at the box's surface.
         alpha_threshold: Samples at or below are dropped.
-        reach: Half sizes of the box that the cube holds.
+        contraction: Of space to the cube.
     """
 
     grid: Float[Tensor, "X Y Z 4"]
@@ -54,7 +77,7 @@ class Surroundings:
     interval: float
     step: float
     alpha_threshold: float
-    reach: float
+    contraction: Contraction
 
 
 def background(
@@ -98,19 +121,24 @@ def most_samples(surroundings: Surroundings) -> int:
     middle over the root of 3: 2 roots of 3 inside the box, and the logarithm of the reach times as much on both sides.
     """
     step = surroundings.step
-    return math.ceil(2 * math.sqrt(3) * (1 + math.log(surroundings.reach)) * (1 / step + 1)) + 2
+    return math.ceil(2 * math.sqrt(3) * (1 + math.log(surroundings.contraction.reach)) * (1 / step + 1)) + 2
 
 
-def contract(u: Float[Tensor, "*n 3"], reach: float) -> Float[Tensor, "*n 3"]:
+def contract(u: Float[Tensor, "*n 3"], contraction: Contraction) -> Float[Tensor, "*n 3"]:
     """Contract positions in half sizes of the box to [-2, 2]^3."""
+    near, bend, far = contraction.slopes
     r = u.abs().amax(-1, keepdim=True).clamp(min=1)
-    return (1 + torch.log(r) / math.log(reach)).clamp(max=2) * u / r
+    away = torch.log(r)
+    return (1 + near * away.clamp(max=bend) + far * (away - bend).clamp(min=0)).clamp(max=2) * u / r
 
 
-def expand(y: Float[Tensor, "*n 3"], reach: float) -> Float[Tensor, "*n 3"]:
+def expand(y: Float[Tensor, "*n 3"], contraction: Contraction) -> Float[Tensor, "*n 3"]:
     """Undo `contract`."""
+    near, bend, far = contraction.slopes
     s = y.abs().amax(-1, keepdim=True)
-    return torch.where(s > 1, y / s.clamp(min=1) * reach ** (s - 1), y)
+    depth = (s - 1).clamp(min=0)
+    beyond = (depth - near * bend).clamp(min=0) / far if far else torch.zeros_like(depth)
+    return torch.where(s > 1, y / s.clamp(min=1) * torch.exp((depth / near).clamp(max=bend) + beyond), y)
 
 
 def background_ref(
@@ -127,10 +155,10 @@ def background_ref(
     last = torch.tensor(surroundings.grid.shape[:3], device=t.device) - 1
     end = rays.t_out
     if closed:
-        end = ((surroundings.reach - du.sign() * u0) / du.abs().clamp(min=PARALLEL)).amin(-1)
+        end = ((surroundings.contraction.reach - du.sign() * u0) / du.abs().clamp(min=PARALLEL)).amin(-1)
     while bool((t < end).any()):
         u = u0 + t[:, None] * du
-        y = contract(u, surroundings.reach)
+        y = contract(u, surroundings.contraction)
         vertex = ((y + 2) / 4 * last + 0.5).floor().long().clamp(min=torch.zeros_like(last), max=last)
         away = surroundings.distance[tuple(vertex.unbind(-1))].float()
         valid = (t < end) & (away == 0) & (trans >= STOP)
@@ -145,7 +173,7 @@ def background_ref(
         room = (away - 1).clamp(min=0) * 4 / last.max()
         t = t + (room / (2 + room)).clamp(min=surroundings.step) * u.abs().amax(-1).clamp(min=1) / speed
     if closed:
-        face = contract(u0 + torch.maximum(end, rays.t_in)[:, None] * du, surroundings.reach)
+        face = contract(u0 + torch.maximum(end, rays.t_in)[:, None] * du, surroundings.contraction)
         rgb = rgb + trans[:, None] * torch.sigmoid(trilinear_ref(surroundings.grid, face, cube)[:, 1:])
         trans = trans * 0
     return rgb, trans, per_point
@@ -215,7 +243,7 @@ def _arguments(
             array(rays.t_in),
         ),
         *(array(surroundings.grid, vec4), wp.vec3(*centre), wp.vec3(*per_half)),
-        *(surroundings.interval, surroundings.reach),
+        *(surroundings.interval, surroundings.contraction.reach, wp.vec3(*surroundings.contraction.slopes)),
         *(int(closed), array(target.contiguous(), wp.vec3), int(has_target)),
     ]
 
@@ -269,9 +297,11 @@ def raw_colour_grad(grad: wp.vec3, colour: wp.vec3) -> vec4:
 
 @wp.func
 @no_type_check
-def index_of(u: wp.vec3, r: float, log_reach: float, grid: wp.array3d(dtype=vec4)) -> wp.vec3:
+def index_of(u: wp.vec3, r: float, slopes: wp.vec3, grid: wp.array3d(dtype=vec4)) -> wp.vec3:
     """Index coordinates of a position given in half sizes of the box."""
-    y = u * (wp.min(1.0 + wp.log(r) / log_reach, 2.0) / r) + wp.vec3(2.0, 2.0, 2.0)
+    away = wp.log(r)
+    depth = slopes[0] * wp.min(away, slopes[1]) + slopes[2] * wp.max(away - slopes[1], 0.0)
+    y = u * (wp.min(1.0 + depth, 2.0) / r) + wp.vec3(2.0, 2.0, 2.0)
     return wp.vec3(
         y[0] * 0.25 * float(grid.shape[0] - 1),
         y[1] * 0.25 * float(grid.shape[1] - 1),
@@ -291,6 +321,7 @@ def _forward(
     per_half: wp.vec3,
     interval: float,
     reach: float,
+    slopes: wp.vec3,
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
@@ -314,7 +345,6 @@ def _forward(
     du = wp.cw_mul(rays_d[n], per_half)
     stride = step / wp.length(du)
     voxel = 4.0 / float(wp.max(wp.max(grid.shape[0], grid.shape[1]), grid.shape[2]) - 1)
-    log_reach = wp.log(reach)
     end = t_out[n]
     if closed == 1:
         end = exit_of(u0, du, reach)
@@ -328,7 +358,7 @@ def _forward(
     while t < end:
         u = u0 + du * t
         r = radius_of(u)
-        q = index_of(u, r, log_reach, grid)
+        q = index_of(u, r, slopes, grid)
         away = steps_away(distance, q)
         if away == 0:
             v = look_up(grid, q)
@@ -355,7 +385,7 @@ def _forward(
         t += stride * r * wp.max(1.0, leap(away, voxel) / step)
     if closed == 1:
         far = u0 + du * wp.max(end, t_in[n])
-        total += colour_of(look_up(grid, index_of(far, radius_of(far), log_reach, grid))) * trans
+        total += colour_of(look_up(grid, index_of(far, radius_of(far), slopes, grid))) * trans
         trans = 0.0
     counts[n] = kept
     rgb[n] = total
@@ -375,6 +405,7 @@ def _backward(
     per_half: wp.vec3,
     interval: float,
     reach: float,
+    slopes: wp.vec3,
     closed: int,
     target: wp.array(dtype=wp.vec3),
     has_target: int,
@@ -391,7 +422,6 @@ def _backward(
     n = first + wp.tid()
     u0 = wp.cw_mul(rays_o[n] - centre, per_half)
     du = wp.cw_mul(rays_d[n], per_half)
-    log_reach = wp.log(reach)
     g = rgb_grad[n]
     trans = float(1.0)
     behind = wp.dot(g, rgb[n]) + left_grad[n] * left[n]
@@ -408,8 +438,8 @@ def _backward(
             h += (c - target[n]) * (2.0 * weight * point_grad[n])
         out = raw_colour_grad(h, c)
         out[0] = interval * sigmoid(v[0]) * (trans * wp.dot(g, c) - behind)
-        scatter(grid_grad, index_of(u, radius_of(u), log_reach, grid), out)
+        scatter(grid_grad, index_of(u, radius_of(u), slopes, grid), out)
     if closed == 1:
         far = u0 + du * wp.max(exit_of(u0, du, reach), t_in[n])
-        q = index_of(far, radius_of(far), log_reach, grid)
+        q = index_of(far, radius_of(far), slopes, grid)
         scatter(grid_grad, q, raw_colour_grad(g * trans, colour_of(look_up(grid, q))))

@@ -146,7 +146,7 @@ def coded_shell(shell: Shell) -> Shell:
     """Surroundings with their contracted places for colours: rendered, they say where what is seen lies."""
     y = vertices(CUBE, (shell.size, shell.size, shell.size)).to(shell.grid)
     grid = torch.cat([shell.grid[..., :1], torch.logit((y / EDGE + 1) / 2)], dim=-1)
-    coded = Shell(shell.aabb, grid, shell.final, shell.near, shell.reach)
+    coded = Shell(shell.aabb, grid, shell.final, shell.near, shell.contraction)
     coded.distance = shell.distance
     return coded
 
@@ -160,7 +160,7 @@ def _surroundings(
     lo, hi = coded.aabb.to(rays_o)
 
     def world(code: Tensor) -> Tensor:
-        return expand((code * 2 - 1) * EDGE, coded.reach) * (hi - lo) / 2 + (lo + hi) / 2
+        return expand((code * 2 - 1) * EDGE, coded.contraction) * (hi - lo) / 2 + (lo + hi) / 2
 
     before = RaySegments(rays_o, rays_d, torch.full_like(t_in, near), t_in, middle)
     front, left, _ = coded.render(before, False)

@@ -29,6 +29,7 @@ from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.fields.movers import UPPER, Movers, symmetric
 from devrf.reconstruct.fields.ndc import Ndc
 from devrf.reconstruct.fields.shading import Shading
+from devrf.reconstruct.kernels.background import Contraction
 from devrf.reconstruct.kernels.occupancy import distance
 from devrf.reconstruct.rendering.model import DynamicModel
 from devrf.reconstruct.storage.packing import (
@@ -248,10 +249,11 @@ def rest_of(
 
 
 def shell_of(meta: dict[str, Any], aabb: Tensor, grid: Tensor, points: Tensor | None = None) -> Shell:
-    """Its surroundings; files of before have no points."""
+    """Its surroundings; files of before have no points, and their space is not bent."""
     final, near, reach = (meta["shell"][name] for name in ("final", "near", "reach"))
+    contraction = Contraction(float(reach), float(meta["shell"].get("bend", 1.0)))
     known = torch.zeros(0, 3) if points is None else points
-    return Shell(aabb, grid, int(final), float(near), float(reach), points=known)
+    return Shell(aabb, grid, int(final), float(near), contraction, points=known)
 
 
 def motion_of(meta: dict[str, Any], aabb: Tensor, backward: Tensor, forward: Tensor) -> MotionField:

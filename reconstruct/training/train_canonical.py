@@ -14,7 +14,7 @@ from torch import Tensor
 from devrf.capture.scene import Scene
 from devrf.capture.system.errors import ReconstructError
 from devrf.capture.system.progress import part
-from devrf.reconstruct.adapt.background_reach import reach_of
+from devrf.reconstruct.adapt.background_reach import contraction_of
 from devrf.reconstruct.adapt.sizing import fewer_voxels
 from devrf.reconstruct.fields.canonical import Canonical, new_canonical
 from devrf.reconstruct.fields.canonical_model import RestModel
@@ -138,8 +138,9 @@ class _Recipe(Training):
         resolution, shell_size = _sizes(options, 0)
         self.canonical = new_canonical(aabb, resolution, options, ALPHA_INIT, device, ndc)
         if self.plain is None:
-            grid, points, reach = grey(shell_size, device), points_of(scene), reach_of(scene)
-            shell = Shell(aabb, grid, options.shell_resolution, scene.near, reach, points=points).begun()
+            grid, points, contraction = grey(shell_size, device), points_of(scene), contraction_of(scene)
+            final, near = options.shell_resolution, scene.near
+            shell = Shell(aabb, grid, final, near, contraction, points=points).begun()
         self.of = CanonicalState(self.canonical, shell, hull)
         self.shell_variation = options.shell_variation * torch.tensor([0.1, 1, 1, 1], device=device)
         self.decay = 1.0

@@ -13,7 +13,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from devrf.capture.scene import Scene
-from devrf.reconstruct.adapt.background_reach import reach_of
+from devrf.reconstruct.adapt.background_reach import contraction_of
 from devrf.reconstruct.adapt.carving import carve, trained_lines
 from devrf.reconstruct.fields.canonical import EMPTY, Canonical
 from devrf.reconstruct.fields.contracted_background import CUBE, Shell, grey
@@ -69,10 +69,10 @@ class _CoarseTraining(Training):
         self.sizes = [max(8, round(share * options.coarse_size)) for share in shares]
         self.per_size = max(1, options.coarse_iterations // len(self.sizes))
         super().__init__(self.per_size * len(self.sizes), generator)
-        grid, reach = grey(self.sizes[0], device), reach_of(scene)
-        self.model = Shell(aabb, grid, self.sizes[-1], near, reach, inside=True).begun()
+        grid, contraction = grey(self.sizes[0], device), contraction_of(scene)
+        self.model = Shell(aabb, grid, self.sizes[-1], near, contraction, inside=True).begun()
         if lines is not None:
-            self.model.start_from(*carve(*lines, aabb, self.sizes[0], near, reach))
+            self.model.start_from(*carve(*lines, aabb, self.sizes[0], near, contraction))
         self._new_trainer()
 
     def step(self, iteration: int) -> None:

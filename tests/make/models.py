@@ -15,6 +15,7 @@ from devrf.reconstruct.fields.grids import vertices
 from devrf.reconstruct.fields.motion import MotionField
 from devrf.reconstruct.fields.movers import Movers
 from devrf.reconstruct.fields.ndc import CUBE, Ndc
+from devrf.reconstruct.kernels.background import Contraction
 from devrf.reconstruct.options import CanonicalOptions
 from devrf.reconstruct.rendering.model import DynamicModel
 
@@ -68,7 +69,7 @@ def random_model(background: str = "shell", deferred: bool = False, seed: int = 
     at_rest.net.requires_grad_(False)
     shell = None
     if background == "shell":
-        shell = Shell(UNIT_BOX, grey(12), 12, near=0.3, reach=8.5).begun()
+        shell = Shell(UNIT_BOX, grey(12), 12, near=0.3, contraction=Contraction(8.5, 6.0)).begun()
         shell.grid += torch.randn(shell.grid.shape, generator=g)
         shell.rebuild_occupancy()
     motion = still(UNIT_BOX, 3, 5)

@@ -8,11 +8,12 @@ import torch
 from tests.make.models import canonical
 
 from devrf.capture.scene import SparsePoints
-from devrf.reconstruct.adapt.background_reach import FARTHEST_REACH, reach_of
+from devrf.reconstruct.adapt.background_reach import FARTHEST_REACH, contraction_of
 from devrf.reconstruct.adapt.hull import box_of, visual_hull
 from devrf.reconstruct.fields.canonical import EMPTY, Canonical, shift_for
 from devrf.reconstruct.fields.contracted_background import CUBE, REACH, Shell, grey
 from devrf.reconstruct.fields.grids import grid_shape, grown, upsample, vertices, voxel_size
+from devrf.reconstruct.kernels.background import Contraction
 from devrf.reconstruct.options import PRESETS, Overrides, preset
 from devrf.reconstruct.rendering.rays import Rays
 from devrf.reconstruct.rendering.render import Grads, Rendered, render_rest
@@ -151,15 +152,19 @@ def test_shell_is_empty_in_the_box_only() -> None:
 def test_surroundings_reach_as_far_as_the_points(ball) -> None:
     """A wall beyond the reach lies on the cube's faces, as if infinitely far away: from elsewhere it hangs wrong."""
 
-    def reach(*away: float) -> float:
+    def contraction(*away: float) -> Contraction:
         xyz = np.array([[0.0, share * ball.scene.aabb[1, 1], 0.0] for share in away]).reshape(-1, 3)
         none = np.zeros(0, np.int64)
-        return reach_of(replace(ball.scene, points=SparsePoints(xyz, none, none)))
+        return contraction_of(replace(ball.scene, points=SparsePoints(xyz, none, none)))
 
-    assert reach(1.0, 3.0) == REACH
-    assert 10 < reach(1.0, 2.0, 10.0, 10.0) < 12
-    assert reach(1.0, 1e3, 1e3) == FARTHEST_REACH
-    assert reach() == reach_of(replace(ball.scene, points=None)) == FARTHEST_REACH
+    assert contraction(1.0, 3.0) == Contraction(REACH, REACH)
+    assert 10 < contraction(1.0, 2.0, 10.0, 10.0).reach < 12
+    window = contraction(*[1.0] * 990, *[10.0] * 10)  # a garden behind a wall
+    assert 10 < window.reach < 12 and window.bend == REACH
+    assert contraction(*[1.0] * 997, *[10.0] * 3).reach == REACH  # points that are wrong
+    assert contraction(1.0, 1e3, 1e3).reach == FARTHEST_REACH
+    nobody_knows = contraction_of(replace(ball.scene, points=None))
+    assert contraction() == nobody_knows == Contraction(FARTHEST_REACH)
 
 
 def test_hull_contains_the_ball_and_little_else(ball) -> None:

@@ -7,10 +7,10 @@ import torch
 
 from devrf.capture.scene import Scene, SparsePoints
 from devrf.reconstruct.adapt.carving import carve, trained_lines
-from devrf.reconstruct.kernels.background import contract
+from devrf.reconstruct.kernels.background import Contraction, contract
 
 AABB = torch.tensor([[-1.0, -1, -1], [1, 1, 1]])
-SIZE, REACH = 41, 6.0
+SIZE, REACH = 41, Contraction(6.0)
 
 
 def _at(grid: torch.Tensor, point: list[float]) -> bool:

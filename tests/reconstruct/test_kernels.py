@@ -13,7 +13,15 @@ from devrf.reconstruct.fields.flat_adam import FlatAdam
 from devrf.reconstruct.kernels import adam
 from devrf.reconstruct.kernels import background as around
 from devrf.reconstruct.kernels.adam import add_total_variation, add_touched_variation, dense_step, masked_step
-from devrf.reconstruct.kernels.background import Surroundings, background, background_ref, contract, expand
+from devrf.reconstruct.kernels.background import (
+    NEAR_SHARE,
+    Contraction,
+    Surroundings,
+    background,
+    background_ref,
+    contract,
+    expand,
+)
 from devrf.reconstruct.kernels.composite import accumulate, composite_weights, composite_weights_ref
 from devrf.reconstruct.kernels.march import RaySegments, Volume, Warp, march, march_ref
 from devrf.reconstruct.kernels.occupancy import (
@@ -28,6 +36,7 @@ from devrf.reconstruct.kernels.trilinear import trilinear, trilinear_ref
 from devrf.reconstruct.storage.training_state import net_state, take_up_net
 
 AABB = torch.tensor([[-1.0, -0.5, -0.8], [1.0, 0.7, 0.9]])
+ROOM, WINDOW = Contraction(6.0), Contraction(20.0, 7.0)
 # sums of eight products of order one, multiplied by up to ten vertices per unit
 FLOAT32: dict[str, Any] = {"rtol": 1e-4, "atol": 1e-5}
 
@@ -205,13 +214,15 @@ def test_zero_motion_marches_as_at_rest() -> None:
 
 
 @pytest.mark.parametrize("closed", [False, True])
-@pytest.mark.parametrize(("share", "reach"), [(0.5, 6.0), (0.01, 6.0), (0.01, 20.0)])
-def test_background_matches_reference(closed: bool, share: float, reach: float) -> None:
+@pytest.mark.parametrize(("share", "contraction"), [(0.5, ROOM), (0.01, ROOM), (0.01, WINDOW)])
+def test_background_matches_reference(closed: bool, share: float, contraction: Contraction) -> None:
     g = torch.Generator().manual_seed(4)
     grid = torch.randn(15, 16, 17, 4, generator=g)
     grid[..., 0] = grid[..., 0] * 2 - 3
     occupied = torch.rand(15, 16, 17, generator=g) < share  # little: most steps are leaps
-    surroundings = Surroundings(grid.requires_grad_(), distance(occupied), AABB, 0.0, 0.7, 0.06, 1e-4, reach)
+    surroundings = Surroundings(
+        grid.requires_grad_(), distance(occupied), AABB, 0.0, 0.7, 0.06, 1e-4, contraction
+    )
     rays = _rays(150, g, AABB)._replace(t_in=torch.full((150,), 0.3), t_out=torch.full((150,), 9.0))
     target = torch.rand(150, 3, generator=g)
     out = background(rays, surroundings, closed, target)
@@ -241,7 +252,9 @@ def test_training_keeps_every_sample_of_rays_that_begin_in_the_cube(reach: float
     g, step = torch.Generator().manual_seed(1), 4 / (size - 1)
     grid = torch.full((size, size, size, 4), -9.0)
     everywhere = torch.zeros(size, size, size, dtype=torch.uint8)
-    surroundings = Surroundings(grid.requires_grad_(), everywhere, AABB, 0.0, 1.0, step, 0.0, reach)
+    surroundings = Surroundings(
+        grid.requires_grad_(), everywhere, AABB, 0.0, 1.0, step, 0.0, Contraction(reach, 3.0)
+    )
     lo, hi = AABB
     corner = (torch.randint(0, 2, (200, 3), generator=g) * 2 - 1) * (reach - 0.01)
     through = torch.rand(200, 3, generator=g) * 0.2 - 0.1
@@ -263,7 +276,7 @@ def test_background_learns_without_warp(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(around, "use_warp", lambda device: False)
     grid = torch.zeros(9, 9, 9, 4)
     nothing_empty = torch.zeros(9, 9, 9, dtype=torch.uint8)
-    surroundings = Surroundings(grid, nothing_empty, AABB, 0.0, 0.7, 0.1, 1e-4, 6.0)
+    surroundings = Surroundings(grid, nothing_empty, AABB, 0.0, 0.7, 0.1, 1e-4, ROOM)
     rays = _rays(20, torch.Generator().manual_seed(0), AABB)
     buffer = torch.zeros(1, *grid.shape)
     colours, _, _ = background(rays, surroundings, True, None, buffer)
@@ -275,13 +288,21 @@ def test_background_learns_without_warp(monkeypatch: pytest.MonkeyPatch) -> None
 def test_contraction_keeps_the_box_and_brings_infinity_to_two(reach: float) -> None:
     u = torch.tensor([[0.5, -1.0, 0.2], [reach**0.5, 0, 0], [1e9, 1e9, -1e9]])
     expected = torch.tensor([[0.5, -1.0, 0.2], [1.5, 0, 0], [2.0, 2.0, -2.0]])
-    torch.testing.assert_close(contract(u, reach), expected)
+    torch.testing.assert_close(contract(u, Contraction(reach)), expected)
 
 
-@pytest.mark.parametrize("reach", [6.0, 20.0])
-def test_expand_undoes_contraction(reach: float) -> None:
+def test_most_depth_is_spent_on_what_is_near() -> None:
+    u = torch.tensor([[0.5, -1.0, 0.2], [0, 7.0**0.5, 0], [0, 7.0, 0], [0, (7 * 20) ** 0.5, 0], [0, 30.0, 0]])
+    expected = torch.tensor([1.0, 1 + NEAR_SHARE / 2, 1 + NEAR_SHARE, 1.5 + NEAR_SHARE / 2, 2.0])
+    torch.testing.assert_close(contract(u, WINDOW).abs().amax(-1), expected)
+    assert Contraction(20.0, 18.0).slopes == Contraction(20.0).slopes  # little is left to give
+
+
+@pytest.mark.parametrize("contraction", [ROOM, Contraction(20.0), WINDOW])
+def test_expand_undoes_contraction(contraction: Contraction) -> None:
+    reach = contraction.reach
     u = torch.rand(200, 3, generator=torch.Generator().manual_seed(0)) * 2 * reach - reach
-    torch.testing.assert_close(expand(contract(u, reach), reach), u, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(expand(contract(u, contraction), contraction), u, rtol=1e-5, atol=1e-5)
 
 
 def test_adam_matches_torch() -> None:

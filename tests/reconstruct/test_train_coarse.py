@@ -68,7 +68,7 @@ def test_a_wall_right_behind_one_camera_that_others_see_stays() -> None:
 
     def raw(x: float) -> torch.Tensor:
         at = torch.tensor([[x, y, z] for y in (-0.3, 0.0, 0.3) for z in (-0.3, 0.0, 0.3)])
-        return trilinear(model.grid[..., :1].contiguous(), contract(at, model.reach), CUBE)[:, 0]
+        return trilinear(model.grid[..., :1].contiguous(), contract(at, model.contraction), CUBE)[:, 0]
 
     def alpha(x: float) -> torch.Tensor:
         s = model.surroundings()
