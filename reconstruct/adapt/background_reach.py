@@ -25,11 +25,12 @@ def contraction_of(scene: Scene) -> Contraction:
     def away(xyz: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         return np.abs((xyz - (lo + hi) / 2) * 2 / (hi - lo)).max(axis=1)
 
-    if scene.points is None or not len(scene.points.xyz):
-        return Contraction(
-            FARTHEST_REACH
-        )  # walls may be anywhere: what is far hardly moves against what is near
-    cameras = away(np.array([frame.camera.centre for frame in training(scene.frames)])).max()
-    most, every = np.maximum(cameras, np.percentile(away(scene.points.xyz), [MOST, ALL])).tolist()
-    bend, reach = (min(max(REACH, REACH_MARGIN * far), FARTHEST_REACH) for far in (most, every))
+    ends = [
+        0.0,
+        np.inf,
+    ]  # without points walls may be anywhere: what is far hardly moves against what is near
+    if scene.points is not None and len(scene.points.xyz):
+        ends = np.percentile(away(scene.points.xyz), [MOST, ALL]).tolist()
+    cameras = float(away(np.array([frame.camera.centre for frame in training(scene.frames)])).max())
+    bend, reach = (min(max(REACH, REACH_MARGIN * max(cameras, end)), FARTHEST_REACH) for end in ends)
     return Contraction(reach, bend)

@@ -164,7 +164,7 @@ def test_surroundings_reach_as_far_as_the_points(ball) -> None:
     assert contraction(*[1.0] * 997, *[10.0] * 3).reach == REACH  # points that are wrong
     assert contraction(1.0, 1e3, 1e3).reach == FARTHEST_REACH
     nobody_knows = contraction_of(replace(ball.scene, points=None))
-    assert contraction() == nobody_knows == Contraction(FARTHEST_REACH)
+    assert contraction() == nobody_knows == Contraction(FARTHEST_REACH, REACH)
 
 
 def test_hull_contains_the_ball_and_little_else(ball) -> None:
