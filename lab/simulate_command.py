@@ -13,6 +13,7 @@ from devrf.capture.system.errors import InputError
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
 from devrf.lab.simulate.protocol.forward import simulate_forward
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
+from devrf.lab.simulate.scenes.objects import OBJECTS
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.pipelines.config.words import suggestion
@@ -77,14 +78,15 @@ def simulate(
         text = f"--protocol {protocol}: unknown, expected one of {', '.join(PROTOCOLS)}"
         raise InputError("option-unknown-value", text)
     chosen = PROTOCOLS[protocol]
-    size = size or chosen.size
+    kind = OBJECTS.get(scene or chosen.scene) if protocol == "session" else None
+    size = size or (kind and kind.size) or chosen.size
     match = re.fullmatch(r"(\d+)x(\d+)", size.strip().lower())
     mistakes = [] if match else [f"--size {size}: expected WIDTHxHEIGHT in pixels, such as {chosen.size}"]
     if seed < 0:
         mistakes.append(f"--seed {seed}: expected a whole number from 0")
     options = None
     try:
-        options = options_from(chosen.options, settings)
+        options = options_from(chosen.options, [*(kind.usual if kind else ()), *settings])
     except InputError as error:
         mistakes.append(str(error))
     if mistakes or match is None:

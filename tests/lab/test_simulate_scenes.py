@@ -48,10 +48,11 @@ def test_object_is_at_rest_until_it_moves_by_a_visible_amount(name: str) -> None
     assert 0.1 < largest_m < (1.8 if name == "leaving" else 0.9)
     assert np.abs(thing.vertices_at(1e-3) - thing.rest.vertices).max() < 1e-4  # it does not jump
     lo, hi = (thing.rest.vertices + way).min((0, 1)), (thing.rest.vertices + way).max((0, 1))
-    assert lo[2] > 0.3  # above the platform
+    in_workshop = name == "workshop"  # whose floor has no platform, and whose lamp hangs higher
+    assert lo[2] > (-0.02 if in_workshop else 0.3)
     if name != "leaving":
-        assert (hi - lo < 1.5).all()
-        assert np.abs((lo + hi) / 2 - CENTRE)[:2].max() < 0.2
+        assert (hi - lo < (1.9 if in_workshop else 1.5)).all()
+        assert np.abs((lo + hi) / 2 - CENTRE)[:2].max() < 0.25
 
 
 @pytest.mark.parametrize("name", [name for name in KINDS if name not in RIGID])
@@ -64,7 +65,9 @@ def test_motion_is_not_rigid(name: str) -> None:
     assert left_m.max() > 0.02
 
 
-@pytest.mark.parametrize("name", ["sheet", "blocks", "figure", "plant", "leaving", "rod", *PEOPLE])
+@pytest.mark.parametrize(
+    "name", ["sheet", "blocks", "figure", "plant", "leaving", "rod", "workshop", *PEOPLE]
+)
 def test_motion_scale_zero_stays_at_rest(name: str) -> None:
     thing = make_object(name, np.random.default_rng(0), SessionOptions(motion_scale=0))
     np.testing.assert_array_equal(thing.vertices_at(1.7), thing.rest.vertices)

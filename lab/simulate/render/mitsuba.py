@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -37,7 +38,7 @@ class ShapeMaker:
         """With `ambient` above 0 every surface glows as if a white one sent back this much even light; if it is not
         `lit`, no other light."""
         self._mi, self._ambient, self._lit = mi, ambient, lit
-        self._surfaces: dict[int, tuple[np.ndarray, Any, Any]] = {}
+        self._surfaces: dict[tuple[int, int], tuple[Mesh, Any, Any]] = {}
 
     def __call__(
         self,
@@ -50,7 +51,7 @@ class ShapeMaker:
         mi = self._mi
         vertices = mesh.vertices if vertices is None else vertices
         faces = mesh.faces if faces is None else faces
-        bsdf, glow = (self._mirror(), None) if mirror else self._surface(mesh.texture)
+        bsdf, glow = (self._mirror(), None) if mirror else self._surface(mesh)
         props = mi.Properties()
         props["bsdf"] = bsdf
         if glow is not None:  # never sampled beside a lamp
@@ -74,19 +75,23 @@ class ShapeMaker:
     def _mirror(self) -> Any:
         return self._mi.load_dict({"type": "conductor", "material": "none"})
 
-    def _surface(self, texture: np.ndarray) -> tuple[Any, Any]:
-        if id(texture) not in self._surfaces:
+    def _surface(self, mesh: Mesh) -> tuple[Any, Any]:
+        key = id(mesh.texture), id(mesh.light)
+        if key not in self._surfaces:  # the mesh is kept with it, so that no other picture gets its number
             mi = self._mi
-            linear = srgb_to_linear(texture)
+            linear = srgb_to_linear(mesh.texture)
 
             def bitmap(values: np.ndarray) -> Any:
                 picture = mi.Bitmap(np.ascontiguousarray(values, dtype=np.float32))
                 return mi.load_dict({"type": "bitmap", "bitmap": picture, "raw": True, "wrap_mode": "clamp"})
 
             bsdf = mi.load_dict({"type": "diffuse", "reflectance": bitmap(linear * self._lit)})
-            glow = bitmap(self._ambient * linear) if self._ambient else None
-            self._surfaces[id(texture)] = (texture, bsdf, glow)
-        return self._surfaces[id(texture)][1:]
+            light = self._ambient
+            if mesh.light is not None:
+                light = cv2.resize(mesh.light, linear.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+            glow = bitmap(light * linear) if self._ambient else None
+            self._surfaces[key] = (mesh, bsdf, glow)
+        return self._surfaces[key][1:]
 
 
 def perspective(mi: Any, camera: Camera, sampler: dict[str, Any], pixel_format: str) -> dict[str, Any]:

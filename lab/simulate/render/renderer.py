@@ -22,8 +22,38 @@ FINE = 2  # rendered pixels per sensor pixel, each way
 SUBPIXELS = 2  # lens samples per sensor pixel, each way
 AMBIENT = 0.7  # radiance of a white surface without the lamp
 EVEN = 0.9  # the same of what is mirrored: the room in even light, as bright as with the lamp
-LAMP_RADIANCE, LAMP_HALF_M = 3.6, 0.7
-LAMP_POSITION = np.array([0.5, 0.3, 3.6])
+
+
+@dataclass(frozen=True)
+class Light:
+    """What lights the room.
+
+    Attributes:
+        position: Of the middle of a square lamp, metres.
+        target: What it faces.
+        half_m: Half its side.
+        radiance: Of the lamp, RGB.
+        ambient: Radiance of a white surface without the lamp, where the mesh has no light of its own.
+    """
+
+    position: tuple[float, float, float] = (0.5, 0.3, 3.6)
+    target: tuple[float, float, float] = (0.5, 0.3, 0.0)
+    half_m: float = 0.7
+    radiance: tuple[float, float, float] = (3.6, 3.6, 3.6)
+    ambient: float = AMBIENT
+
+    def lamp(self, mi: Any, shift_m: float = 0.0) -> dict[str, Any]:
+        """The lamp for `load_dict`, so far along y from its place."""
+        along_y = np.array([0.0, shift_m, 0.0])
+        up = [0, 1, 0] if self.position[:2] == self.target[:2] else [0, 0, 1]
+        facing = mi.ScalarTransform4f().look_at(
+            (self.position + along_y).tolist(), (self.target + along_y).tolist(), up
+        )
+        return {
+            "type": "rectangle",
+            "to_world": facing.scale([self.half_m, self.half_m, 1]),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(self.radiance)}},
+        }
 
 
 @dataclass(frozen=True)
@@ -42,12 +72,18 @@ class Finish:
 class Renderer:
     """Renders a room that does not change and meshes that do."""
 
-    def __init__(self, still: list[Mesh], spp: int, finish: Finish | None = None) -> None:
+    def __init__(
+        self, still: list[Mesh], spp: int, finish: Finish | None = None, light: Light | None = None
+    ) -> None:
         """`finish` is that of the object."""
         self._mi = load_mitsuba()
-        self._spp = max(1, round(spp / FINE**2))
+        self._light = light or Light()
+        self._spp = spp
         self._finish = finish or Finish()
-        self._lit, self._even = ShapeMaker(self._mi, AMBIENT), ShapeMaker(self._mi, EVEN, lit=False)
+        self._lit, self._even = (
+            ShapeMaker(self._mi, self._light.ambient),
+            ShapeMaker(self._mi, EVEN, lit=False),
+        )
         self._still = self._shapes(self._lit, still)
         self._still_even = self._shapes(self._even, still) if self._finish.gloss else []
         self._lenses: dict[tuple[object, ...], Lens] = {}
@@ -60,6 +96,7 @@ class Renderer:
         *,
         beside: Sequence[Mesh] = (),
         lamp_shift_m: float = 0.0,
+        moments: int = 1,
     ) -> Float[np.ndarray, "h w 3"]:
         """Linear radiance [H, W, 3] of the scene; a white surface in even light is about 0.9.
 
@@ -69,35 +106,36 @@ class Renderer:
             seed: Of the light paths.
             beside: What else is not in the same place in all pictures.
             lamp_shift_m: How far along y the lamp is from its place.
+            moments: Of how many the mean is taken: they share the light paths, and with several of them each is
+                rendered at the sensor's own resolution.
         """
         mi, finish = self._mi, self._finish
-        place = LAMP_POSITION + [0.0, lamp_shift_m, 0.0]
-        facing = mi.ScalarTransform4f().look_at(place.tolist(), [*place[:2].tolist(), 0.0], [0, 1, 0])
-        lamp = {
-            "type": "rectangle",
-            "to_world": facing.scale([LAMP_HALF_M, LAMP_HALF_M, 1]),
-            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": LAMP_RADIANCE}},
-        }
+        lamp = self._light.lamp(mi, lamp_shift_m)
         by_lamp = {"lamp": lamp, "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}}
         around = [*self._still, *self._shapes(self._lit, beside)]
-        picture = self._picture(camera, [*around, *self._shapes(self._lit, thing)], seed, by_lamp)
+        sharing = camera, moments
+        picture = self._picture(sharing, [*around, *self._shapes(self._lit, thing)], seed, by_lamp)
         if finish.gloss:  # what is mirrored, in place of what is painted: both in even light
             even = {"integrator": {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1}}
             room = [*self._still_even, *self._shapes(self._even, beside)]
             mirrored, painted = (
-                self._picture(camera, [*room, *self._shapes(self._even, thing, mirror)], seed, even)
+                self._picture(sharing, [*room, *self._shapes(self._even, thing, mirror)], seed, even)
                 for mirror in (True, False)
             )
             picture = (picture + finish.gloss * (mirrored - painted)).clip(0)
         if finish.clear:
-            behind = self._picture(camera, around, seed, by_lamp)
+            behind = self._picture(sharing, around, seed, by_lamp)
             picture = (1 - finish.clear) * picture + finish.clear * behind
         return picture
 
-    def _picture(self, camera: Camera, shapes: list[Any], seed: int, light: dict[str, Any]) -> np.ndarray:
-        mi, lens = self._mi, self._lens(camera)
+    def _picture(
+        self, sharing: tuple[Camera, int], shapes: list[Any], seed: int, light: dict[str, Any]
+    ) -> np.ndarray:
+        mi, (camera, moments) = self._mi, sharing
+        fine = FINE if moments == 1 else 1
+        lens = self._lens(camera, fine)
         fine_camera = lens.pinhole(camera)
-        samples = {"type": "independent", "sample_count": self._spp}
+        samples = {"type": "independent", "sample_count": max(1, round(self._spp / fine**2 / moments))}
         scene = mi.load_dict(
             {
                 "type": "scene",
@@ -106,8 +144,7 @@ class Renderer:
                 **{f"shape{i}": shape for i, shape in enumerate(shapes)},
             }
         )
-        fine = np.array(mi.render(scene, seed=seed), dtype=np.float32)
-        return lens.gathered(fine)
+        return lens.gathered(np.array(mi.render(scene, seed=seed), dtype=np.float32))
 
     def _shapes(self, maker: ShapeMaker, meshes: Sequence[Mesh], mirror: bool = False) -> list[Any]:
         shapes = []
@@ -118,10 +155,10 @@ class Renderer:
                 shapes.append(maker(mesh, behind, mesh.faces[:, ::-1], mirror))
         return shapes
 
-    def _lens(self, camera: Camera) -> "Lens":
-        if camera.lens not in self._lenses:
-            self._lenses[camera.lens] = lens_of(camera)
-        return self._lenses[camera.lens]
+    def _lens(self, camera: Camera, fine: int) -> "Lens":
+        if (camera.lens, fine) not in self._lenses:
+            self._lenses[camera.lens, fine] = lens_of(camera, fine)
+        return self._lenses[camera.lens, fine]
 
 
 @dataclass(frozen=True)
@@ -143,10 +180,10 @@ class Lens:
         return _gather(fine, self.maps, SUBPIXELS)
 
 
-def lens_of(camera: Camera) -> Lens:
-    """The lens of a camera."""
+def lens_of(camera: Camera, fine: int = FINE) -> Lens:
+    """The lens of a camera; `fine` rendered pixels per sensor pixel, each way."""
     ideal = ideal_coordinates(camera, SUBPIXELS)
-    focal = FINE * float(camera.K[0, 0])
+    focal = fine * float(camera.K[0, 0])
     half = np.ceil(np.abs(ideal).reshape(-1, 2).max(axis=0) * focal) + 2
     maps = ideal * focal + half - 0.5  # OpenCV's remap has pixel centres at whole numbers
     return Lens(2 * int(half[0]), 2 * int(half[1]), focal, maps.astype(np.float32))

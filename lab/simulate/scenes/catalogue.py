@@ -20,11 +20,17 @@ PLATFORM_M = 0.35  # height of what the object stands on
 
 @dataclass(frozen=True)
 class Paint:
-    """Colours of a texture: sRGB of the ground (0 to 255), how far shapes differ from it, and how many."""
+    """Colours of a texture: sRGB of the ground (0 to 255), how far shapes differ from it, and how many.
+
+    With a `surface`, one of `materials`, it looks like that instead of being covered with shapes.
+    """
 
     tint: tuple[int, int, int]
     spread: float = 55.0
     density: float = 0.9
+    surface: (
+        Callable[[np.random.Generator, tuple[int, int], float, tuple[int, int, int]], np.ndarray] | None
+    ) = None
 
 
 WALLS = (Paint((150, 165, 185)), Paint((185, 165, 140)), Paint((150, 180, 150)), Paint((180, 150, 170)))
@@ -45,6 +51,8 @@ class Mesh:
         texture: sRGB picture [H, W, 3].
         smooth: Whether shading normals are interpolated.
         thickness_m: A sheet has a back, this far behind its front; 0 for closed surfaces.
+        light: Even light on it, where it differs from place to place (`render.daylight`): radiance of a white surface,
+            a coarse picture over the same texture coordinates; None: the same everywhere.
     """
 
     vertices: Float[np.ndarray, "v 3"]
@@ -53,6 +61,7 @@ class Mesh:
     texture: UInt8[np.ndarray, "h w 3"]
     smooth: bool = False
     thickness_m: float = 0.0
+    light: Float[np.ndarray, "lh lw 3"] | None = None
 
 
 @dataclass(frozen=True)
@@ -114,8 +123,11 @@ def texture(
     sizes_m: tuple[float, float] = (0.05, 0.5),
 ) -> UInt8[np.ndarray, "h w 3"]:
     """A non-repeating sRGB picture: cloudy ground, then discs, polygons, rings and strokes of all sizes
-    between those of `sizes_m`, so that there are features at every distance."""
+    between those of `sizes_m`, so that there are features at every distance; or the paint's own surface."""
     (height, width), (smallest_m, largest_m) = shape, sizes_m
+    if paint.surface is not None:
+        picture = paint.surface(rng, shape, metres_per_texel, paint.tint)
+        return _with_contrast(picture.astype(np.float32), np.array(paint.tint, np.float64), contrast)
     ground = np.zeros((height, width, 3), np.float32)
     for octave in range(1, 6):
         cells = rng.uniform(-1, 1, (2**octave, 2**octave, 3)).astype(np.float32)
@@ -144,8 +156,11 @@ def texture(
         else:
             ring = (int(x), int(y)), max(1, int(size / 2))
             cv2.circle(picture, *ring, colour, max(1, int(size / 5)), cv2.LINE_AA)
-    flat = tint + contrast * (picture.astype(np.float32) - tint)
-    return np.clip(flat.round(), 12, 243).astype(np.uint8)
+    return _with_contrast(picture.astype(np.float32), tint, contrast)
+
+
+def _with_contrast(picture: np.ndarray, tint: np.ndarray, contrast: float) -> np.ndarray:
+    return np.clip((tint + contrast * (picture - tint)).round(), 12, 243).astype(np.uint8)
 
 
 def box(

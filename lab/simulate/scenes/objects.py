@@ -14,6 +14,7 @@ from devrf.lab.simulate.scenes.changing import changing, ease
 from devrf.lab.simulate.scenes.people import figure, gesturing, hiding, kicking, pair, placing
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.scenes.shapes import quads
+from devrf.lab.simulate.scenes.workshop import working
 
 SHEET_WIDTH_M, SHEET_HEIGHT_M, SHEET_TOP_M = 0.9, 0.85, 1.45
 COLUMN_RADIUS_M, COLUMN_HEIGHT_M, COLUMN_FOOT_M = 0.2, 0.95, 0.45
@@ -119,12 +120,39 @@ def _grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
     return quads(rows, columns), np.stack([u, v], -1).reshape(-1, 2)
 
 
+PHONES = (
+    "room=workshop",
+    "sweep_frames=68",
+    "fps=25",
+    "other_fps=30",
+    "portrait=true",
+    "duration_s=2.6",
+    "rest_s=0.25",
+    "camera_distance_m=1.75",
+    "exposure_s=0.01",
+    "exposure_moments=4",
+    "noise=0.008",
+    "spp=4",
+    "crf=22",
+    "board_frames=12",
+)  # some phones' cameras: 25 and 30 hertz, 1/100 s, one upright
+
+
 @dataclass(frozen=True)
 class ObjectKind:
-    """An object to choose: what it is and does, in a few words, and who makes it."""
+    """An object to choose.
+
+    Attributes:
+        about: What it is and does, in a few words.
+        make: Who makes it.
+        size: Of its pictures on the command line, where none is given; None: the protocol's.
+        usual: Options on the command line that are not the defaults for it, unless others are given.
+    """
 
     about: str
     make: Callable[[np.random.Generator, SessionOptions], MovingObject]
+    size: str | None = None
+    usual: tuple[str, ...] = ()
 
 
 OBJECTS = {
@@ -143,4 +171,10 @@ OBJECTS = {
         "a person who lifts a cube and puts it down, before things that swing and wave", placing
     ),
     "rod": ObjectKind("a thin rod that swings", rod),
+    "workshop": ObjectKind(
+        "a workshop: someone lifts a cube, a lamp swings, a towel waves; filmed by phones",
+        working,
+        "640x360",
+        PHONES,
+    ),
 }

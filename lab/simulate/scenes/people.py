@@ -5,10 +5,11 @@ multiplies every way and every angle; the times below are seconds since the moti
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from devrf.lab.simulate.scenes import materials
 from devrf.lab.simulate.scenes.bodies import (
     RED,
     SAND,
@@ -22,10 +23,11 @@ from devrf.lab.simulate.scenes.catalogue import PLATFORM_M, PRINT, Mesh, MovingO
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.scenes.shapes import Number, Part, Pose, ease, quads, rigid, shift, skin, turn
 
-SKIN = Paint((205, 155, 125), 45.0)
-SHIRT = Paint((85, 135, 105), 75.0)
-TROUSERS = Paint((80, 90, 135), 70.0)
-SHOE = Paint((95, 70, 60), 50.0)
+SKIN, HEAD = Paint((214, 160, 130), surface=materials.skin), Paint((214, 160, 130), surface=materials.head)
+SHIRT, JERSEY = Paint((58, 108, 84), surface=materials.plaid), Paint((150, 48, 42), surface=materials.plaid)
+TROUSERS = Paint((66, 84, 120), surface=materials.twill)
+SHOE = Paint((95, 70, 60), surface=materials.painted)
+SKULL = np.array([0.95, 0.85, 1.12])  # half axes of a head, of its radius
 STEPS_HZ = 1.2  # of the walking figure, both feet once
 STRIDE_DEG, LIFT_DEG = 36.0, 55.0  # thighs swing, knees bend: feet reach 4 m/s
 WALK_M_S = 0.22
@@ -268,7 +270,7 @@ def pair(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
         bend=lambda side, t: 20.0 + 60.0 * wave(t, 1.1),
     )
     parts = person(rng, standing(_foot(-0.3), one))
-    return as_object([*parts, *person(rng, standing(_foot(0.3), other), RED)], [])
+    return as_object([*parts, *person(rng, standing(_foot(0.3), other), JERSEY)], [])
 
 
 def placing(rng: np.random.Generator, options: SessionOptions) -> MovingObject:
@@ -360,12 +362,14 @@ class Joints:
 
 
 def person(rng: np.random.Generator, joints: Joints, shirt: Paint = SHIRT) -> list[Part]:
-    """The limbs of a person, in clothes of these colours."""
+    """The limbs of a person, in a shirt of these colours."""
+    skull = fine_ball(rng, HEAD, 0.085)
+    skull = replace(skull, vertices=skull.vertices * SKULL)
     parts = [
         rigid(fine_box(rng, (0.15, 0.24, 0.22), TROUSERS, 0.06), lambda t: joints.hip(t) @ shift(0, 0, 0.03)),
         rigid(fine_box(rng, (0.16, 0.27, 0.3), shirt, 0.07), lambda t: joints.chest(t) @ shift(0, 0, 0.1)),
         rigid(limb(rng, SKIN, 0.09, 0.045, 0.045), joints.neck),
-        rigid(fine_ball(rng, SKIN, 0.085), lambda t: joints.neck(t) @ shift(0.01, 0, 0.07)),
+        rigid(skull, lambda t: joints.neck(t) @ shift(0.01, 0, 0.07)),
     ]
     for side in (1, -1):
         shin = joints.shin(side)

@@ -20,6 +20,10 @@ class SessionOptions(BaseModel):
     """Frame rate of the fixed cameras, hertz."""
     sweep_motion: float = Field(default=0.0, ge=0, le=1)
     """Share of its motion that the object makes already while the sweep is taken; at 0 it rests."""
+    other_fps: float | None = Field(default=None, gt=0, le=240)
+    """Frame rate of every second fixed camera, hertz; none: that of the others."""
+    portrait: bool = False
+    """Whether the last fixed camera before the witness is held upright."""
     duration_s: float = Field(default=2.7, gt=0.1, le=600)
     """Length of every fixed camera's clip."""
     pts_jitter_ms: float = Field(default=0.0, ge=0, le=20)
@@ -46,13 +50,15 @@ class SessionOptions(BaseModel):
     """Largest deviation of a camera's exposure from the sweep's, relative, in linear light."""
     exposure_s: float = Field(default=0.0, ge=0, le=0.1)
     """Exposure of the fixed cameras' pictures, seconds: what moves is blurred along its way; 0: not at all."""
+    exposure_moments: int = Field(default=0, ge=0, le=64)
+    """Moments of an exposure, which share the light paths of a picture; 0: six, each with all of them."""
     sway_m: float = Field(default=0.0, ge=0, le=0.1)
     """How far the object's top sways while the sweep is taken, metres, as someone who stands still does."""
     noise: float = Field(default=0.006, ge=0, le=0.2)
     """Standard deviation of the sensor's noise at mid grey, relative to full scale."""
-    room: Literal["patterned", "shelves", "window", "narrow"] = "patterned"
-    """What stands round the object: patterned walls and boxes; or plain walls and furniture: shelves, a window behind
-    the object, or a narrow room whose fixed cameras stand close to things."""
+    room: Literal["patterned", "shelves", "window", "narrow", "workshop"] = "patterned"
+    """What stands round the object: patterned walls and boxes; plain walls and furniture: shelves, a window behind
+    the object, or a narrow room whose fixed cameras stand close to things; or a workshop in daylight, with a bench."""
     texture_contrast: float = Field(default=1.0, ge=0, le=1.5)
     """Contrast of all textures of the room and of the object; 0 gives blank walls."""
     strip_m: float = Field(default=0.0, ge=0, le=0.2)

@@ -62,8 +62,9 @@ def fixed_cameras(
         spread = np.degrees(JITTER_M / options.camera_distance_m) * rng.uniform(-1, 1, 2)
         position = CLAPPER + distance * _direction(azimuth + spread[0], elevation + spread[1])
         target = CENTRE + JITTER_M * rng.uniform(-1, 1, 3)
+        lens = _lens(rng, size, FOV_DEG, options.k1)
         camera = replace(
-            _lens(rng, size, FOV_DEG, options.k1),
+            _upright(lens) if options.portrait and i == count - 1 else lens,
             cam_from_world=look_at(position, target, roll_deg=rng.uniform(-1.5, 1.5)),
         )
         offset_s = 0.0 if i == 0 else options.offset_range_s * rng.uniform(-1, 1)
@@ -75,7 +76,7 @@ def fixed_cameras(
                 offset_s=round(float(offset_s), 6),
                 drift_ppm=round(float(drift_ppm), 3),
                 gain=round(float(1 + options.gain_range * rng.uniform(-1, 1)), 4),
-                file_times_s=_file_times(rng, options),
+                file_times_s=_file_times(rng, options, rate_hz(i, options)),
             )
         )
     return cameras
@@ -126,10 +127,22 @@ def _lens(rng: np.random.Generator, size: tuple[int, int], fov_deg: float, k1: f
     return Camera(width, height, K, np.eye(3, 4), distortion)
 
 
-def _file_times(rng: np.random.Generator, options: SessionOptions) -> np.ndarray:
-    count = max(2, int(options.duration_s * options.fps))
-    jitter_s = min(options.pts_jitter_ms / 1000, 0.4 / options.fps)  # frames keep their order
-    times = np.arange(count) / options.fps + jitter_s * rng.uniform(-1, 1, count)
+def rate_hz(number: int, options: SessionOptions) -> float:
+    """Frame rate of a fixed camera; the witness comes after the others."""
+    return options.other_fps if number % 2 and options.other_fps else options.fps
+
+
+def _upright(camera: Camera) -> Camera:
+    """The same lens, the camera turned by a quarter."""
+    K = camera.K.copy()
+    K[:2, 2] = K[[1, 0], 2]
+    return replace(camera, width=camera.height, height=camera.width, K=K)
+
+
+def _file_times(rng: np.random.Generator, options: SessionOptions, fps: float) -> np.ndarray:
+    count = max(2, int(options.duration_s * fps))
+    jitter_s = min(options.pts_jitter_ms / 1000, 0.4 / fps)  # frames keep their order
+    times = np.arange(count) / fps + jitter_s * rng.uniform(-1, 1, count)
     return np.round((times - times[0]) * VIDEO_TICKS_HZ) / VIDEO_TICKS_HZ
 
 

@@ -29,6 +29,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.system.writable import check_folder
+from devrf.lab.simulate.render.daylight import DAYLIGHT, lit
 from devrf.lab.simulate.render.mitsuba import load_mitsuba
 from devrf.lab.simulate.render.renderer import Finish, Renderer
 from devrf.lab.simulate.render.sensor import (
@@ -39,10 +40,19 @@ from devrf.lab.simulate.render.sensor import (
     board_poses,
     expose,
 )
-from devrf.lab.simulate.scenes.catalogue import WOOD, Mesh, MovingObject, picture_on_quad, room, texture
+from devrf.lab.simulate.scenes.catalogue import (
+    WOOD,
+    Mesh,
+    MovingObject,
+    Paint,
+    picture_on_quad,
+    room,
+    texture,
+)
 from devrf.lab.simulate.scenes.furniture import furnished
 from devrf.lab.simulate.scenes.objects import OBJECTS, make_object
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.workshop import OAK, workshop_room
 from devrf.lab.simulate.session import sound
 from devrf.lab.simulate.session.camera_rig import (
     BOARD_SQUARE_M,
@@ -50,6 +60,7 @@ from devrf.lab.simulate.session.camera_rig import (
     FixedCamera,
     board_pose,
     fixed_cameras,
+    rate_hz,
     sweep_cameras,
 )
 from devrf.lab.simulate.session.moved import MovedMasks, ways
@@ -104,17 +115,21 @@ def simulate_session(
     _check_folder(out)
     load_mitsuba()
     seeds = np.random.default_rng(seed).spawn(6)
-    if options.room == "patterned":
+    if options.room == "workshop":
+        around = workshop_room(seeds[0], options.texture_contrast)
+    elif options.room == "patterned":
         around = room(seeds[0], options.texture_contrast)
     else:
         around = furnished(options.room, seeds[0], options.texture_contrast)
     thing = make_object(scene, seeds[1], options)
     still = [*around.still, *thing.stand]
     if options.board:
-        still += standing_board(seeds[2], options)
+        still += standing_board(seeds[2], options, OAK if options.room == "workshop" else WOOD)
     fixed = fixed_cameras(seeds[3], cameras, size, options)
     sweep = sweep_cameras(seeds[4], size, options)
-    renderer = Renderer(still, options.spp, Finish(options.gloss, options.clear))
+    light = DAYLIGHT if options.room == "workshop" else None
+    known = lit(still, light, _seed(seeds[0])) if light else still
+    renderer = Renderer(known, options.spp, Finish(options.gloss, options.clear), light)
 
     out.mkdir(parents=True, exist_ok=True)
     names = ["static", *(camera.name for camera in fixed)]
@@ -128,8 +143,8 @@ def simulate_session(
     work.sweep(sweep)
     claps = _clap_times(seeds[2], fixed, options)
     burst = sound.make_burst(seeds[2])
-    for camera in fixed:
-        work.clip(camera, claps, burst)
+    for number, camera in enumerate(fixed):
+        work.clip(number, camera, claps, burst)
     if options.board:
         for name, camera in [("static", _away_from_board(sweep)), *((c.name, c.camera) for c in fixed)]:
             work.board_clip(name, camera)
@@ -203,13 +218,15 @@ class _Work:
             self._tick(name)
         clip.close()
 
-    def clip(self, camera: FixedCamera, claps_s: np.ndarray, burst: np.ndarray) -> None:
+    def clip(self, number: int, camera: FixedCamera, claps_s: np.ndarray, burst: np.ndarray) -> None:
         rate = sound.SAMPLE_RATE_HZ if self.options.sound else None
         name = f"{camera.name}.mp4"
         if self._copied(name, len(camera.file_times_s)):
             return
         rng, of_sound = self.noise[name].spawn(2)
-        clip = ClipWriter(self.out / name, self.size, self.options.fps, self.options.crf, rate)
+        fps = rate_hz(number, self.options)
+        size = camera.camera.width, camera.camera.height
+        clip = ClipWriter(self.out / name, size, fps, self.options.crf, rate)
         if self.options.sound:
             microphone = sound.Microphone(
                 distance_m=clapper_distance_m(camera),
@@ -217,7 +234,7 @@ class _Work:
                 drift_ppm=camera.drift_ppm,
                 gain=float(of_sound.uniform(0.4, 1.0)),
             )
-            duration_s = float(camera.file_times_s[-1]) + 1 / self.options.fps
+            duration_s = float(camera.file_times_s[-1]) + 1 / fps
             clip.sound(sound.record(of_sound, burst, claps_s, microphone, duration_s))
         for file_time_s in camera.file_times_s:
             radiance = self._exposed(camera, camera.true_time(float(file_time_s)), rng)
@@ -227,7 +244,8 @@ class _Work:
 
     def _exposed(self, camera: FixedCamera, middle_s: float, rng: np.random.Generator) -> np.ndarray:
         """The light of an exposure: the mean of moments of it, where it takes time."""
-        parts = EXPOSED if self.options.exposure_s else 1
+        moments = self.options.exposure_moments
+        parts = (moments or EXPOSED) if self.options.exposure_s else 1
         shares = (np.arange(parts) + 0.5) / parts - 0.5
         found = []
         for moment in (middle_s + self.options.exposure_s * shares).tolist():
@@ -238,6 +256,7 @@ class _Work:
                     _seed(rng),
                     beside=background_at(self.behind, moment, self.options),
                     lamp_shift_m=lamp_shift_m(moment, self.options),
+                    moments=max(moments, 1),
                 )
             )
         return sum(found[1:], start=found[0]) / parts
@@ -248,7 +267,7 @@ class _Work:
         backdrop = self.renderer(camera, [self.thing.rest], _seed(rng), beside=self.behind)
         show = BoardCamera(camera, backdrop, BOARD_SQUARES, BOARD_SQUARE_M)
         poses = board_poses(rng, camera, BOARD_SQUARES, BOARD_SQUARE_M, options.board_frames)
-        clip = ClipWriter(self.out / file, self.size, BOARD_FPS, options.crf)
+        clip = ClipWriter(self.out / file, (camera.width, camera.height), BOARD_FPS, options.crf)
         for i, pose in enumerate(poses):
             clip.picture(expose(show(pose), 1.0, options.noise, rng), i / BOARD_FPS)
             self._tick(file)
@@ -283,12 +302,12 @@ def _seed(rng: np.random.Generator) -> int:
     return int(rng.integers(2**31))
 
 
-def standing_board(rng: np.random.Generator, options: SessionOptions) -> list[Mesh]:
+def standing_board(rng: np.random.Generator, options: SessionOptions, back_paint: Paint = WOOD) -> list[Mesh]:
     """The board in the room during everything, and a textured back so that it does not glow through."""
     pose = board_pose()
     front = board_corners(BOARD_SQUARES, BOARD_SQUARE_M, pose)
     back = (front + BOARD_THICKNESS_M * pose[:3, 2])[[1, 0, 3, 2]]
-    paper = texture(rng, (120, 160), 0.004, options.texture_contrast, paint=WOOD, sizes_m=(0.03, 0.2))
+    paper = texture(rng, (120, 160), 0.004, options.texture_contrast, paint=back_paint, sizes_m=(0.03, 0.2))
     return [picture_on_quad(front, board_picture(BOARD_SQUARES)), picture_on_quad(back, paper)]
 
 
