@@ -13,7 +13,8 @@ def simulate(
     scene: Annotated[
         str | None,
         typer.Option(
-            help="What moves. session: sheet (default), column, blocks, figure, plant, leaving, rod and others; "
+            help="What moves. session: sheet (default), column, blocks, figure, plant, leaving, rod, "
+            "workshop (a furnished room filmed with phones) and others; "
             "devrf, devrf-forward: robot, flower or arm (default: arm; forward: flower)"
         ),
     ] = None,
@@ -35,7 +36,8 @@ def simulate(
     size: Annotated[
         str | None,
         typer.Option(
-            help="Size of the pictures, WIDTHxHEIGHT. Default: 480x360; devrf: 400x400; devrf-forward: 480x270"
+            help="Size of the pictures, WIDTHxHEIGHT. Default: 480x360, workshop 640x360; devrf: 400x400; "
+            "devrf-forward: 480x270"
         ),
     ] = None,
     settings: Annotated[

@@ -89,6 +89,7 @@ def tables(section: str, schema: dict[str, Any], definitions: dict[str, Any]) ->
 
 def options_of_simulate() -> Iterator[str]:
     """Heading and a table for each protocol of `simulate`."""
+    from devrf.lab.simulate.scenes.objects import OBJECTS
     from devrf.lab.simulate_command import PROTOCOLS
 
     yield "## Options of simulate\n"
@@ -100,6 +101,9 @@ def options_of_simulate() -> Iterator[str]:
             cells = (f"`{option}`", words(field), default_of(option, field, False), meaning)
             yield "| " + " | ".join(cells) + " |"
         yield ""
+        for scene, kind in OBJECTS.items() if protocol == "session" else ():
+            if kind.usual:
+                yield f"`--scene {scene}` begins with `{' '.join(kind.usual)}`, and with pictures of {kind.size}.\n"
 
 
 def kinds(field: dict[str, Any]) -> list[dict[str, Any]]:

@@ -34,7 +34,7 @@ def noise(rng: Rng, shape: Shape, rows: float | int, columns: float | int) -> Fl
 def wood(rng: Rng, shape: Shape, texel_m: float, tint: Tint) -> Picture:
     """Rings cut lengthwise, pores and scratches; the grain runs along the longer side."""
     if shape[0] > shape[1]:
-        return wood(rng, shape[::-1], texel_m, tint).transpose(1, 0, 2)
+        return wood(rng, (shape[1], shape[0]), texel_m, tint).transpose(1, 0, 2)
     across = np.arange(shape[0], dtype=np.float32)[:, None] * texel_m
     bent = across + 0.012 * noise(rng, shape, 0.06 / texel_m, 0.5 / texel_m)
     rings = np.sin(2 * np.pi * bent / 0.021 + 1.5 * noise(rng, shape, 0.03 / texel_m, 0.3 / texel_m))

@@ -20,8 +20,8 @@ class SessionOptions(BaseModel):
     """Frame rate of the fixed cameras, hertz."""
     sweep_motion: float = Field(default=0.0, ge=0, le=1)
     """Share of its motion that the object makes already while the sweep is taken; at 0 it rests."""
-    other_fps: float | None = Field(default=None, gt=0, le=240)
-    """Frame rate of every second fixed camera, hertz; none: that of the others."""
+    other_fps: float = Field(default=0.0, ge=0, le=240)
+    """Frame rate of every second fixed camera, hertz; 0: that of the others."""
     portrait: bool = False
     """Whether the last fixed camera before the witness is held upright."""
     duration_s: float = Field(default=2.7, gt=0.1, le=600)

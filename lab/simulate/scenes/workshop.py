@@ -86,7 +86,8 @@ TOUCH_S, LIFT_S, LAND_S, LEAVE_S = 1.0, 1.1, 2.05, 2.1
 LAMP_TOP_M = 1.86
 OUTSIDE = np.full((2, 2, 3), (1.05, 1.1, 1.2), np.float32)  # light on what the window shows
 
-Place, Span = tuple[Number, Number, Number], tuple[Number, Number]
+Place = tuple[Number, Number, Number]
+Span = tuple[Number, Number]
 
 
 def workshop_room(rng: np.random.Generator, contrast: float) -> Room:
@@ -98,12 +99,10 @@ def workshop_room(rng: np.random.Generator, contrast: float) -> Room:
 
     def flat(corners: Sequence[Place], paint: Paint, texel_m: float = TEXEL_M) -> Mesh:
         a, b, c, _ = np.array(corners)
-        shape = tuple(max(4, round(float(np.linalg.norm(v)) / texel_m)) for v in (c - b, b - a))
-        return picture_on_quad(np.array(corners), texture(rng, shape, texel_m, contrast, paint=paint))
-
-    def behind(y: Span, z: Span) -> Mesh:
-        """A piece of the wall with the window."""
-        return flat([(-h, y[0], z[1]), (-h, y[1], z[1]), (-h, y[1], z[0]), (-h, y[0], z[0])], WALL)
+        rows, columns = (max(4, round(float(np.linalg.norm(v)) / texel_m)) for v in (c - b, b - a))
+        return picture_on_quad(
+            np.array(corners), texture(rng, (rows, columns), texel_m, contrast, paint=paint)
+        )
 
     y0, y1, z0, z1 = 0.82, 1.72, 0.98, 2.12  # the window
     middle = (y0 + y1) / 2
