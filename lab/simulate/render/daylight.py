@@ -15,12 +15,12 @@ from devrf.lab.simulate.render.mitsuba import ShapeMaker, load_mitsuba, srgb_to_
 from devrf.lab.simulate.render.renderer import Light
 from devrf.lab.simulate.scenes.catalogue import Mesh
 
-SKY, SUN = (0.34, 0.38, 0.44), (6.5, 5.6, 4.3)  # radiance from above; irradiance across the beam
-DAYLIGHT = Light((0.7, 1.5, 3.0), (0.0, 0.0, 0.8), 0.6, (8.8, 8.2, 7.2), 0.42)
+SKY, SUN = (0.3, 0.335, 0.385), (3.9, 3.4, 2.6)  # radiance from above; irradiance across the beam
+DAYLIGHT = Light((0.7, 1.5, 3.0), (0.0, 0.0, 0.8), 0.6, (7.8, 7.3, 6.4), 0.38)
 SUN_DIRECTION = (0.5, 0.42, -0.76)
 CELL_M = 0.03  # of the pictures of light
 MOST_CELLS = 96  # along a side
-PATHS = 48  # per cell
+PATHS = 64  # per cell
 BOUNCES = 4
 BEFORE_M = 0.004  # from where light on a surface is looked at
 ATLAS_TEXELS = 2048  # width of the texture of many meshes
@@ -49,7 +49,7 @@ def lit(still: Sequence[Mesh], light: Light, seed: int) -> list[Mesh]:
             seen = [np.array(mi.render(scene, sensor=sensor, seed=seed + n)) for scene in (every, of_lamp)]
             cells = seen[0].shape[1::-1]
             albedo = cv2.resize(srgb_to_linear(mesh.texture), cells, interpolation=cv2.INTER_AREA)
-            blurred = cv2.GaussianBlur(((seen[0] - seen[1]) / albedo).astype(np.float32), (0, 0), 0.8)
+            blurred = cv2.GaussianBlur(((seen[0] - seen[1]) / albedo).astype(np.float32), (0, 0), 1.1)
             mesh = replace(mesh, light=blurred.clip(0))
         else:
             mesh = replace(mesh, light=np.full((2, 2, 3), light.ambient, np.float32))

@@ -126,7 +126,7 @@ def head(rng: Rng, shape: Shape, texel_m: float, tint: Tint) -> Picture:
     for side in (-1, 1):
         spot(0.13 * side, 0.57, 0.05, 0.02, (232, 226, 218))
         spot(0.13 * side, 0.57, 0.025, 0.02, EYE)
-        spot(0.13 * side, 0.64, 0.07, 0.01, HAIR)
+        spot(0.13 * side, 0.66, 0.06, 0.008, HAIR)
         spot(0.2 * side, 0.42, 0.09, 0.07, (206, 138, 112))
     spot(0.0, 0.33, 0.09, 0.015, LIP)
     return np.roll(picture, columns // 2, axis=1)

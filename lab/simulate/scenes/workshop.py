@@ -84,7 +84,7 @@ FROM_M, TO_M, HIGH_M = (
 )  # where the cube stands, and by how much it is lifted
 TOUCH_S, LIFT_S, LAND_S, LEAVE_S = 1.0, 1.1, 2.05, 2.1
 LAMP_TOP_M = 1.86
-OUTSIDE = np.full((2, 2, 3), (1.05, 1.1, 1.2), np.float32)  # light on what the window shows
+OUTSIDE = np.full((2, 2, 3), (0.86, 0.9, 0.98), np.float32)  # light on what the window shows
 
 Place = tuple[Number, Number, Number]
 Span = tuple[Number, Number]
@@ -136,6 +136,12 @@ def workshop_room(rng: np.random.Generator, contrast: float) -> Room:
         ((0.1, h - 0.14, 1.555), (0.14, 0.14, 0.24), STEEL, 20),
         ((-0.5, h - 0.16, 0.3), (1.2, 0.3, 0.6), PINE, 0),
         ((1.7, -1.5, 0.3), (0.4, 0.4, 0.6), PINE, 20),
+        ((h - 0.01, -0.9, 1.02), (0.05, 0.98, 2.04), WHITE, 0),  # a door in its frame
+        ((h - 0.03, -0.9, 0.99), (0.05, 0.84, 1.94), GREEN, 0),
+        ((h - 0.07, -0.55, 1.0), (0.06, 0.1, 0.03), STEEL, 0),
+        ((h - 0.015, 0.75, 1.55), (0.02, 1.3, 0.98), TOOLS, 0),
+        ((h - 0.15, 0.75, 0.35), (0.3, 1.2, 0.7), OAK, 0),
+        ((h - 0.02, -0.1, 1.6), (0.03, 0.3, 0.4), TOWEL, 0),
         ((-0.82, 0.0, 0.23), (0.3, 0.62, 0.44), PINE, 0),  # a crate, on which the board stands
     ]
     for piece in pieces:
