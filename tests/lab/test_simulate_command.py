@@ -43,6 +43,26 @@ def test_each_protocol_has_its_own_defaults(
     assert got == [expected]
 
 
+@pytest.mark.parametrize(
+    ("size", "settings", "expected"), [(None, [], (640, 30.0)), ("64x48", ["other_fps=0"], (64, 0.0))]
+)
+def test_a_scene_has_usual_options_that_others_replace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: str | None, settings: list[str], expected: tuple
+) -> None:
+    got: list[tuple] = []
+
+    def render(out, scene, *, size, options, **_):
+        got.append((size[0], options.other_fps))
+        assert scene == options.room == "workshop" and options.portrait
+        return out / "scene.yaml"
+
+    chosen = simulate_command.PROTOCOLS["session"]
+    changed = type(chosen)(chosen.options, render, chosen.scene, chosen.cameras, chosen.size)
+    monkeypatch.setitem(simulate_command.PROTOCOLS, "session", changed)
+    simulate_command.simulate(Talk(), tmp_path, "workshop", "session", None, 0, size, settings)
+    assert got == [expected]
+
+
 def test_a_complete_data_set_is_said_to_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
