@@ -41,27 +41,18 @@ from devrf.lab.simulate.scenes.shapes import (
     turned,
 )
 
-OAK, PINE = Paint((156, 114, 74), surface=materials.wood), Paint((196, 158, 110), surface=materials.wood)
-FLOOR, WALL = (
-    Paint((132, 98, 68), surface=materials.planks),
-    Paint((204, 196, 180), surface=materials.plaster),
-)
-WHITE, GREEN = (
-    Paint((214, 211, 202), surface=materials.painted),
-    Paint((70, 98, 86), surface=materials.painted),
-)
-RED, STEEL = (
-    Paint((176, 52, 40), surface=materials.painted),
-    Paint((120, 124, 130), surface=materials.painted),
-)
-TOOLS, GARDEN = (
-    Paint((178, 152, 114), surface=materials.pegboard),
-    Paint((72, 100, 56), surface=materials.sky),
-)
-TOWEL, ENAMEL = (
-    Paint((196, 206, 212), surface=materials.linen),
-    Paint((44, 92, 112), surface=materials.painted),
-)
+OAK = Paint((156, 114, 74), surface=materials.wood)
+PINE = Paint((196, 158, 110), surface=materials.wood)
+FLOOR = Paint((132, 98, 68), surface=materials.planks)
+WALL = Paint((204, 196, 180), surface=materials.plaster)
+WHITE = Paint((214, 211, 202), surface=materials.painted)
+GREEN = Paint((70, 98, 86), surface=materials.painted)
+RED = Paint((176, 52, 40), surface=materials.painted)
+STEEL = Paint((120, 124, 130), surface=materials.painted)
+ENAMEL = Paint((44, 92, 112), surface=materials.painted)
+TOOLS = Paint((178, 152, 114), surface=materials.pegboard)
+GARDEN = Paint((72, 100, 56), surface=materials.sky)
+TOWEL = Paint((196, 206, 212), surface=materials.linen)
 SPINES = (
     (142, 44, 40),
     (38, 70, 110),
