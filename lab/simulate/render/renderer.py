@@ -2,8 +2,8 @@
 
 A picture is rendered by Mitsuba (`scalar_rgb`) through an ideal pinhole camera at twice the resolution, then
 every sensor pixel gathers `SUBPIXELS`² samples of it along exactly distorted rays. Light is the sum of an
-even ambient light and a large lamp above the room with soft shadows; all surfaces are diffuse, so colours do
-not depend on the direction of view, unless the object has a `Finish`.
+even ambient light, or of what `daylight` found on each surface, and a large lamp with soft shadows; all surfaces
+are diffuse, so colours do not depend on the direction of view, unless the object has a `Finish`.
 """
 
 from collections.abc import Sequence
