@@ -56,6 +56,13 @@ def detector(spec: BoardSpec, second_try: bool = False) -> Detector:
     return checked
 
 
+def fixes_pose(spec: BoardSpec, ids: Int[np.ndarray, " n"]) -> bool:
+    """Whether these corners say where the board is: enough of them, and no line holds all, or all but one."""
+    at = spec.corners[ids]
+    others = (np.delete(at, n, axis=0) for n in range(len(at)))
+    return len(at) >= MIN_CORNERS and all(np.linalg.matrix_rank(few - few[0]) == 2 for few in others)
+
+
 def misfit(spec: BoardSpec, ids: Int[np.ndarray, " n"], xy: Float[np.ndarray, "n 2"]) -> float:
     """How far corners lie from any smooth picture of the board: their noise, whatever the lens. Pixels, rms.
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
-from devrf.calibration.boards.detect import MIN_CORNERS, detector, edge_width
+from devrf.calibration.boards.detect import detector, edge_width, fixes_pose
 from devrf.calibration.boards.instead import PICTURES, seen_instead
 from devrf.calibration.boards.layout import chessboard_of_another_size, never_seen, settle, spread
 from devrf.calibration.boards.spec import BoardSpec, BoardView
@@ -28,7 +28,7 @@ def find_board(
         progress: Called per picture.
         required: Whether to refuse a clip in which the board is never seen.
     Returns:
-        A view for every picture with at least `MIN_CORNERS` corners, and the settled description.
+        A view for every picture whose corners fix a pose, and the settled description.
     Raises:
         HealthError: The board is never seen, or what is seen does not fit the description.
     """
@@ -63,7 +63,7 @@ def _search(name: str, files: Sequence[Path], spec: BoardSpec, progress: Progres
                 continue
             grey = read_grey(file)
             ids, xy = detect(grey)
-            if len(ids) >= MIN_CORNERS:
+            if fixes_pose(spec, ids):
                 views[i] = BoardView(i, ids, xy, *edge_width(grey, spec, ids, xy))
             progress((i + 1) / len(files), f"board in {name}: {len(views)} of {i + 1} pictures")
     return [views[i] for i in sorted(views)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.refused import refused
 
-from devrf.calibration.boards.detect import CHESSBOARD_TRIES, detector, misfit
+from devrf.calibration.boards.detect import CHESSBOARD_TRIES, detector, fixes_pose, misfit
 from devrf.calibration.boards.find import BoardSpec, find_board
 from devrf.calibration.boards.guess import guess_board
 from devrf.calibration.boards.layout import settle
@@ -78,6 +78,21 @@ def write(folder: Path, pictures: list[np.ndarray]) -> list[Path]:
         files.append(folder / f"{n:03d}.png")
         cv2.imwrite(str(files[-1]), picture)
     return files
+
+
+@pytest.mark.parametrize(
+    ("ids", "fixes"),
+    [
+        ([0, 1, 2, 3, 4, 5, 6], True),
+        ([0, 1, 2, 3, 4, 5], False),  # the last of them alone is on the second row
+        ([0, 1, 2, 3, 4], False),
+        ([0, 1, 2, 5, 6], False),  # too few
+        ([0, 6, 12, 3, 8, 13], True),
+    ],
+)
+def test_corners_on_one_line_do_not_fix_a_pose(ids: list[int], fixes: bool) -> None:
+    assert SPEC.squares == (6, 4)  # five corners in a row
+    assert fixes_pose(SPEC, np.array(ids)) == fixes
 
 
 @pytest.mark.parametrize("inverted", [False, True])
