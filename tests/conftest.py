@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 from hypothesis import settings
+from tests.type_checks import begin_test, check_first
 
 if TYPE_CHECKING:
     from devrf.capture.scene import Scene, Split
@@ -26,6 +27,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 for _signal, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(_signal) is signal.SIG_IGN:
         signal.signal(_signal, _usual)
+
+check_first()  # before a test imports devrf
 
 settings.register_profile("same every time", derandomize=True, database=None, deadline=None)
 settings.load_profile("same every time")
@@ -68,6 +71,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return FIRST.index(place) if place in FIRST else len(FIRST)
 
     items.sort(key=rank)
+
+
+def pytest_runtest_setup() -> None:
+    """Types are checked anew in every test."""
+    begin_test()
 
 
 @pytest.hookimpl(optionalhook=True)
