@@ -1,21 +1,29 @@
 """What messages and health rows propose can be done: keys, their values, options and commands are there."""
 
+import ast
 import json
 import re
 import shlex
 import shutil
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import av
+import av.bitstream
+import av.filter
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import Command
+from tests.capture.test_projection import MAKERS
+from tests.conftest import REPOSITORY, Command
 from tests.docs.test_pages import COMMANDS, OF_OTHERS, ROWS
 from tests.test_messages import KEPT
+from tests.test_wheel import ROOMS
 
 from devrf.capture.photos.picture_files import write_png
+from devrf.capture.projection import projection_of
 from devrf.capture.video.video_writer import write_video
 from devrf.pipelines.health.judge import entries
 
@@ -306,3 +314,85 @@ def test_what_is_proposed_leads_on(clips: Path, tmp_path: Path, devrf: Command, 
         done = devrf("run", folder / "scene.yaml", "--until", "ingest")
         assert done.code == code, done.said
         assert (said in done.err) == (code == 2)
+
+
+# --- commands of ffmpeg: what FFmpeg's own libraries say of filters, and what they do ---
+
+OF_INPUT = {"-r", "-framerate", "-itsscale", "-display_rotation", "-f"}  # with a value each, before -i
+OF_OUTPUT = {"-c", "-vf", "-bsf:v", "-map", "-q:v", "-crf"}  # the same, after it
+NUMBERS = {"-r", "-framerate", "-itsscale", "-display_rotation", "-q:v", "-crf"}
+
+
+def commands_of_ffmpeg() -> set[str]:
+    """Those of the table of health rows and of the sources, with 1 for what is filled in."""
+    said = {text.replace("{flag}", "1") for text in SAID}
+    for path in (path for room in ROOMS for path in (REPOSITORY / room).rglob("*.py")):
+        source = path.read_text("utf-8")
+        for node in ast.walk(ast.parse(source)) if "ffmpeg" in source else ():
+            parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+            said.add(
+                "".join(
+                    p.value if isinstance(p, ast.Constant) and isinstance(p.value, str) else "1"
+                    for p in parts
+                )
+            )
+    return {command for text in said for command in re.findall(r"`[^`]*?(ffmpeg [^`{]+)`", text)}
+
+
+FFMPEG = sorted(commands_of_ffmpeg())
+
+
+def options_of(command: str) -> tuple[dict[str, str], str]:
+    """Options with their values, and the file that is written."""
+    words = shlex.split(command)[1:]
+    *words, out = words
+    options = dict(zip(words[::2], words[1::2], strict=True))
+    before = list(options)[: list(options).index("-i")]
+    assert set(before) <= OF_INPUT and options.keys() - before <= {"-i"} | OF_OUTPUT, command
+    return options, out
+
+
+def filtered(graph: str, picture: np.ndarray) -> np.ndarray:
+    """A picture behind `-vf`."""
+    frame, made = av.VideoFrame.from_ndarray(picture, format="rgb24"), av.filter.Graph()
+    name, _, values = graph.partition("=")
+    frame.time_base = Fraction(1, 30)
+    source = made.add_buffer(
+        width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base
+    )
+    made.link_nodes(source, made.add(name, values), made.add("buffersink")).configure()
+    for n in range(30):
+        frame.pts = n
+        made.push(frame)
+    shown = made.pull()
+    assert isinstance(shown, av.VideoFrame)
+    return shown.to_ndarray(format="rgb24")
+
+
+@pytest.mark.parametrize("command", FFMPEG)
+def test_a_command_of_ffmpeg_says_what_ffmpeg_knows(command: str, clips: Path) -> None:
+    options, out = options_of(command)
+    assert out and ("-vf" not in options or "-c" not in options)  # filters code anew
+    assert all(float(options[name]) >= 0 for name in NUMBERS & options.keys())
+    if "-vf" in options:
+        assert filtered(options["-vf"], np.zeros((64, 128, 3), np.uint8)).size
+    if "-bsf:v" in options:
+        with av.open(str(clips / "sweep.mp4")) as clip:
+            into = av.bitstream.BitStreamFilterContext(options["-bsf:v"], clip.streams.video[0])
+            assert any(into.filter(packet) for packet in clip.demux(video=0))
+    assert options.get("-f", "mp4") in av.formats_available
+
+
+def test_there_are_as_many_commands_of_ffmpeg() -> None:
+    """So that one that is written in another way is not passed over."""
+    assert len(FFMPEG) >= 9
+
+
+@pytest.mark.parametrize("kind", ["equirectangular", "eyes"])
+def test_what_is_cut_out_of_pictures_that_no_lens_makes_is_one_that_a_lens_makes(kind: str) -> None:
+    remedy = entries()["coding"].remedy
+    assert isinstance(remedy, dict)
+    command = re.findall(r"`(ffmpeg [^`]+)`", remedy[kind])[0]
+    pictures = [MAKERS[kind](n) for n in range(5)]
+    assert projection_of([], pictures) == kind
+    assert projection_of([], [filtered(options_of(command)[0]["-vf"], p) for p in pictures]) is None
