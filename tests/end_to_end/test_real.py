@@ -36,7 +36,8 @@ def fox(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFactor
     """The run folder of the fox, from photos to the report."""
     folder = tmp_path_factory.mktemp("fox")
     capture = {"static": str(data_dir / "fox_static" / "images")}
-    scene = write_scene(folder, name="fox", capture=capture, reconstruct={"canonical_iterations": 200})
+    small = {"canonical_iterations": 100, "resolution": 64, "image_scale": 0.25}
+    scene = write_scene(folder, name="fox", capture=capture, reconstruct=small)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(render.SIZES, "tiny", SMALL_FILM)
         result = devrf("run", scene)
@@ -186,7 +187,7 @@ def portrait(folder: Path, data_dir: Path, given: Path) -> Path:
     source = data_dir / "pose2sim_single" / "videos"
     clips = {path.stem: str(path) for path in sorted(source.glob("cam*.mp4"))}
     assert len(clips) == 4
-    capture = {"cameras": clips, "range_s": [0, 0.1]}
+    capture = {"cameras": clips, "range_s": [0, 0.04]}
     calibration = {"rig": {"given": str(given)}, "sync": {"method": "none"}}
     return write_scene(folder, name="portrait", capture=capture, calibration=calibration)
 
@@ -242,7 +243,7 @@ def cloth(devrf: Callable, data_dir: Path, tmp_path_factory: pytest.TempPathFact
     """The run folder of the waving sheet, to its metrics."""
     folder = tmp_path_factory.mktemp("cloth")
     dataset = {"format": "devrf", "path": str(data_dir / "devrf_cloth"), "frame_stride": 5}
-    scene = write_scene(folder, name="cloth", dataset=dataset)
+    scene = write_scene(folder, name="cloth", dataset=dataset, reconstruct={"canonical_iterations": 300})
     result = devrf("run", scene, "--until", "evaluate")
     assert result.code == 0, result.said
     return folder / "run"

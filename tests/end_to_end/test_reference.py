@@ -13,7 +13,7 @@ from devrf.reconstruct.evaluation.evaluate import motion_psnr
 pytestmark = pytest.mark.full
 
 SIZE, TIMES = 64, 6
-SETTINGS = {"resolution": 32, "rays": 512, "canonical_iterations": 800, "motion_iterations": 500}
+SETTINGS = {"resolution": 32, "rays": 512, "canonical_iterations": 800, "motion_iterations": 300}
 COARSE_TO_FINE_DB = 2.0  # over a field trained at its full resolution from the start
 MOTION_DB = 3.0  # over the scene at rest, where it moves
 
