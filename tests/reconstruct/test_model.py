@@ -47,8 +47,9 @@ def test_a_rough_picture_differs_only_in_its_surroundings(background: str) -> No
 
 
 def test_a_picture_can_be_given_up_between_two_parts() -> None:
-    model, camera, parts = random_model("shell"), before_random_model().scaled(4.0), []
-    model.chunk = 1 << 9
+    model, untouched = random_model("shell"), random_model("shell")
+    camera, parts = before_random_model().scaled(4.0), []
+    model.chunk = untouched.chunk = 1 << 9
 
     def third() -> None:
         parts.append(1)
@@ -59,7 +60,7 @@ def test_a_picture_can_be_given_up_between_two_parts() -> None:
         render_layers(model, camera, None, between=third)
     assert len(parts) == 3
     whole = render_view(model, camera, None)  # what was begun does no harm
-    np.testing.assert_array_equal(whole, render_view(random_model("shell"), camera, None))
+    np.testing.assert_array_equal(whole, render_view(untouched, camera, None))
 
 
 def test_what_is_remembered_of_a_time_changes_nothing() -> None:
