@@ -25,10 +25,8 @@ def contraction_of(scene: Scene) -> Contraction:
     def away(xyz: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
         return np.abs((xyz - (lo + hi) / 2) * 2 / (hi - lo)).max(axis=1)
 
-    ends = [
-        0.0,
-        np.inf,
-    ]  # without points walls may be anywhere: what is far hardly moves against what is near
+    # Without points walls may be anywhere: what is far hardly moves against what is near.
+    ends = [0.0, np.inf]
     if scene.points is not None and len(scene.points.xyz):
         ends = np.percentile(away(scene.points.xyz), [MOST, ALL]).tolist()
     cameras = float(away(np.array([frame.camera.centre for frame in training(scene.frames)])).max())

@@ -28,7 +28,7 @@ from devrf.reconstruct.kernels.launch import ODD, array, launch, use_warp
 from devrf.reconstruct.kernels.march import STOP, RaySegments, alpha_of, nearest, steps_away
 from devrf.reconstruct.kernels.trilinear import gathered_in, look_up, scatter, trilinear_ref
 
-NEAR_SHARE = 0.85  # of the cube's depth outside the box
+NEAR_SHARE = 0.85  # of the cube's depth outside the box, for what is nearer than the bend
 PARALLEL = 1e-9  # speeds along an axis below this are held to it: the ray leaves the cube by another face
 LEAST_SPEED = wp.constant(PARALLEL)
 vec4 = wp.types.vector(length=4, dtype=wp.float32)
