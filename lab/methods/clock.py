@@ -1,5 +1,7 @@
 """A training within a budget: how much of it is spent, and looks at the model, whose time does not count."""
 
+import time
+
 from jaxtyping import Float
 from torch import Tensor
 
@@ -11,11 +13,19 @@ LOOKS = 12  # at the model while it is trained, about
 EVERY = 20  # steps between two checks that the loss is a number
 
 
+def timed(device: str, every: int = EVERY) -> TrainingLog:
+    """A log that begins now: on a CPU it counts processor seconds, so that other programs beside it do not count.
+
+    With one thread on an idle core these are the seconds of a wall's clock; those of several threads add up.
+    """
+    return TrainingLog(device, every, time.process_time if device == "cpu" else time.perf_counter)
+
+
 class TrainingClock:
     """The seconds and steps of a training."""
 
     def __init__(self, budget: TimeBudget, device: str) -> None:
-        self._budget, self._log = budget, TrainingLog(device, EVERY)
+        self._budget, self._log = budget, timed(device)
         self._watch = Watch(budget.seconds / LOOKS, budget.look)
 
     @property

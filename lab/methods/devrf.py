@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from devrf.capture.camera import Camera
-from devrf.lab.methods.clock import LOOKS
+from devrf.lab.methods.clock import LOOKS, timed
 from devrf.lab.methods.method_table import Regime
 from devrf.lab.methods.protocol import MethodTask, TimeBudget
 from devrf.reconstruct import recipe
@@ -60,25 +60,24 @@ class DevrfMethod:
 
     def train(self, task: MethodTask, budget: TimeBudget) -> TrainedDevrf:
         """Train it."""
-        options = task.options(self.preset)
-        before = 0.0
+        options, log = task.options(self.preset), timed(task.device)
 
-        def look(model: DynamicModel, seconds: float) -> None:
-            budget.look(TrainedDevrf(model), before + seconds)
+        def look(model: DynamicModel) -> None:
+            with log.paused():
+                budget.look(TrainedDevrf(model), log.seconds)
 
         every = budget.seconds / LOOKS
-        at_rest = Watch(every, lambda rest, seconds: look(DynamicModel(rest), seconds))
+        at_rest = Watch(every, lambda rest, _: look(DynamicModel(rest)))
         rest: RestModel = recipe.canonical(
             task.scene, options.canonical, TrainingRun(task.device, budget.progress, watch=at_rest)
         )
-        before = float(rest.metrics["seconds"])
 
-        def in_motion(motion: MotionField, seconds: float) -> None:
-            look(DynamicModel(rest, motion), seconds)
+        def in_motion(motion: MotionField, _: float) -> None:
+            look(DynamicModel(rest, motion))
 
         training = TrainingRun(task.device, budget.progress, watch=Watch(every, in_motion))
-        model, metrics = recipe.motion(task.scene, rest, task.flows, options.motion, training, task.estimator)
-        look(model, float(metrics["seconds"]))
+        model, _ = recipe.motion(task.scene, rest, task.flows, options.motion, training, task.estimator)
+        look(model)
         return TrainedDevrf(model)
 
 

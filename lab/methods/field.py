@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 from torch import Tensor, nn
 
 from devrf.capture.camera import Camera
@@ -22,6 +22,7 @@ from devrf.reconstruct.rendering.rays import RayBatch, camera_rays
 
 AT_ONCE = 4096  # rays of a picture
 BYTES = 4  # of a parameter
+SHARP = 10.0  # density per unit of a network's output: surfaces are thin beside the box
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,10 @@ class FieldPoints:
     d: Float[Tensor, "n 3"]
     time: Float[Tensor, " n"]
     rest: Float[Tensor, " n"]
+
+    def only(self, where: Bool[Tensor, " n"]) -> "FieldPoints":
+        """Those that are marked."""
+        return FieldPoints(self.x[where], self.d[where], self.time[where], self.rest[where])
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,10 @@ class RadianceField(nn.Module, ABC):
     def advance(self, share: float) -> None:
         """So much of the budget is over: anneal."""
 
+    def rates(self) -> list[tuple[float, list[nn.Parameter]]]:
+        """Parameters by the share of the rate by which they are trained."""
+        return [(1.0, list(self.parameters()))]
+
     def still(self) -> nn.ParameterList | list[nn.Parameter]:
         """Parameters of what stands, which regime `two-stage` trains first and then keeps."""
         return []
@@ -124,6 +133,18 @@ class RadianceField(nn.Module, ABC):
     ) -> Float[Tensor, "R n"]:
         """Of samples at rising distances `t`, the last of which reaches to `last`."""
         return quadrature(density, t, last)
+
+
+def spread_out(values: Float[Tensor, "k ..."], where: Bool[Tensor, " n"]) -> Float[Tensor, "n ..."]:
+    """Values at the marked places among zeros."""
+    out = values.new_zeros(len(where), *values.shape[1:])
+    out[where] = values
+    return out
+
+
+def dense(raw: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """A network's output as a density per box unit: a haze at first."""
+    return SHARP * nn.functional.softplus(raw - 2)
 
 
 def quadrature(
@@ -169,7 +190,7 @@ class FieldTraining:
     ) -> None:
         self.task, self.pictures, self.settings = task, pictures, settings
         self.field = field.to(task.device)
-        self.space = Space.of(task.boxed, task.device)
+        self.space = Space.of(task)
         self.generator = torch.Generator().manual_seed(task.seed)
 
     def seen(self, rays: RayBatch, t: Float[Tensor, "R n"]) -> tuple[Sampled, Float[Tensor, "R n 3"]]:
@@ -178,7 +199,17 @@ class FieldTraining:
         x = self.space.contracted((rays.rays_o[:, None] + rays.rays_d[:, None] * t[..., None]).reshape(-1, 3))
         each = (rays.rays_d, rays.time, (rays.frame < 0).to(rays.rays_o))
         points = FieldPoints(x, *(value.repeat_interleave(n, 0) for value in each))
-        return self.field(points), x.reshape(-1, n, 3)
+        return self.asked(points), x.reshape(-1, n, 3)
+
+    def asked(self, points: FieldPoints) -> Sampled:
+        """What the field says of points; where nothing can be, it is not asked."""
+        where = self.space.may_hold(points.x)
+        where[:1] = True  # a field is asked of something
+        if bool(where.all()):
+            return self.field(points)
+        found = self.field(points.only(where))
+        more = {name: spread_out(v, where) if v.ndim else v for name, v in found.more.items()}
+        return Sampled(spread_out(found.density, where), spread_out(found.rgb, where), more)
 
     def rendered(self, rays: RayBatch, jitter: bool) -> RenderedRays:
         """RayBatch as they look; with `jitter` samples are drawn at random."""
@@ -232,11 +263,15 @@ class FieldTraining:
     def _stage(self, clock: TrainingClock, static_share: float, until: float, model: "TrainedField") -> None:
         """Train until a share of the budget is spent, with so large a share of rays in the sweep's pictures."""
         settings, fall = self.settings, self.settings.last_rate / self.settings.rate
-        optimiser = torch.optim.Adam(
-            [p for p in self.field.parameters() if p.requires_grad], betas=(0.9, 0.99), eps=1e-15
-        )
+        groups = [
+            {"params": [p for p in of if p.requires_grad], "lr": settings.rate * rate}
+            for rate, of in self.field.rates()
+        ]
+        optimiser = torch.optim.Adam([g for g in groups if g["params"]], betas=(0.9, 0.99), eps=1e-15)
+        first = [group["lr"] for group in optimiser.param_groups]
         while (share := clock.share) < until:
-            optimiser.param_groups[0]["lr"] = settings.rate * fall**share
+            for group, rate in zip(optimiser.param_groups, first, strict=True):
+                group["lr"] = rate * fall**share
             self.field.advance(share)
             optimiser.zero_grad()
             rays = self.pictures.draw(settings.rays, self.generator, static_share, self.field.one_moment)

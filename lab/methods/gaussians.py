@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from devrf.capture.camera import Camera
 from devrf.lab.methods.clock import TrainingClock
 from devrf.lab.methods.method_table import Regime
-from devrf.lab.methods.networks import Encoding, Mlp
+from devrf.lab.methods.networks import FREQUENCIES, Encoding, Mlp
 from devrf.lab.methods.pictures import Space, TaskPictures
 from devrf.lab.methods.protocol import MethodTask, TimeBudget
 from devrf.reconstruct.kernels.splat import splat
@@ -27,10 +27,11 @@ from devrf.reconstruct.splats.gaussians import Gaussians, flattened, product, ti
 NUMBERS = {"small": 4000, "full": 100_000}
 NETWORKS = {"small": (4, 64), "full": (8, 256)}  # depth and width
 RATES = {"places": 2e-3, "quats": 1e-3, "log_scales": 5e-3, "logits": 5e-2, "colours": 1e-2}
-WARP_RATE, LAST = 8e-4, 0.01
+WARP_RATES, LAST = {"small": 2e-3, "full": 8e-4}, 0.01
 ALONE = 0.1  # of the budget, in which nothing is moved
 SSIM_SHARE, SSIM_SIDE = 0.2, 11
 FADED, EVERY = 0.02, 100  # opacity of those that are taken elsewhere, and steps from time to time
+MOST, UNTIL = 0.05, 0.5  # share of all that is taken at once; of the budget, after which all stay
 SCALE = 2.0  # of a Gaussian at first, in distances to its nearest neighbour if all filled the box evenly
 OUTSIDE = 0.3  # share of Gaussians in the surroundings, where they are seen
 FARTHEST = 8.0  # box units
@@ -42,7 +43,7 @@ class DeformableGaussians(nn.Module):
     def __init__(self, task: MethodTask, space: Space) -> None:
         super().__init__()
         places, colours = _first(task, space)
-        volume = float((space.high - space.low).prod())
+        volume = float((space.high - space.low).prod()) * space.filled
         scale = float(np.log(SCALE * (volume / len(places)) ** (1 / 3) / 2))
         self.leaves = nn.ParameterDict(
             {
@@ -54,7 +55,7 @@ class DeformableGaussians(nn.Module):
             }
         )
         depth, width = NETWORKS[task.size]
-        self.place, self.time = Encoding(3, 10), Encoding(1, 6)
+        self.place, self.time = Encoding(3, FREQUENCIES[task.size]), Encoding(1, 6)
         self.warp = Mlp(self.place.size + self.time.size, 10, depth, width, small=1e-4)
         self.space = space
 
@@ -115,11 +116,13 @@ class GaussianMethod:
             Diverged: The loss is no number.
         """
         torch.manual_seed(task.seed)
-        pictures, space = TaskPictures(task), Space.of(task.boxed, task.device)
+        pictures, space = TaskPictures(task), Space.of(task)
         moved = DeformableGaussians(task, space).to(task.device)
         model, clock = TrainedGaussians(moved), TrainingClock(budget, task.device)
         groups = [{"params": [moved.leaves[name]], "lr": rate} for name, rate in RATES.items()]
-        adam = torch.optim.Adam([*groups, {"params": moved.warp.parameters(), "lr": WARP_RATE}], eps=1e-15)
+        adam = torch.optim.Adam(
+            [*groups, {"params": moved.warp.parameters(), "lr": WARP_RATES[task.size]}], eps=1e-15
+        )
         first = [group["lr"] for group in adam.param_groups]
         generator = torch.Generator().manual_seed(task.seed)
         pull = torch.zeros(len(moved.leaves["places"]), device=task.device)
@@ -144,7 +147,7 @@ class GaussianMethod:
             adam.step()
             if flat.grad is not None and not frozen:
                 pull += flat.grad[:, :2].norm(dim=1)
-                if clock.steps % EVERY == EVERY - 1:
+                if clock.steps % EVERY == EVERY - 1 and share < UNTIL:
                     _taken_elsewhere(moved, adam, pull)
                     pull.zero_()
             clock.step(model, true.shape[0] * true.shape[1], loss)
@@ -169,6 +172,10 @@ def _first(task: MethodTask, space: Space) -> tuple[Float[Tensor, "N 3"], Float[
     number, points = NUMBERS[task.size], task.boxed.points
     low, high = space.low.cpu().numpy(), space.high.cpu().numpy()
     places = rng.uniform(low, high, (number, 3))
+    if space.hull is not None:  # where something can be
+        kept = space.hull.nonzero().cpu().numpy()
+        cells = kept[rng.integers(len(kept), size=number)] + rng.uniform(-0.5, 0.5, (number, 3))
+        places = low + cells / (np.array(space.hull.shape) - 1) * (high - low)
     if space.surrounded:
         out = round(OUTSIDE * number)
         ways = rng.normal(size=(out, 3))
@@ -203,7 +210,7 @@ def _taken_elsewhere(moved: DeformableGaussians, adam: torch.optim.Adam, pull: F
     leaves = moved.leaves
     faded = (torch.sigmoid(leaves["logits"]) < FADED).nonzero()[:, 0]
     pull = pull.index_fill(0, faded, -1)
-    wide = pull.argsort(descending=True)[: min(len(faded), len(pull) - len(faded))]
+    wide = pull.argsort(descending=True)[: min(len(faded), len(pull) - len(faded), round(MOST * len(pull)))]
     faded = faded[: len(wide)]
     if not len(wide):
         return

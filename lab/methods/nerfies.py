@@ -20,23 +20,29 @@ from devrf.lab.methods.field import (
     RenderedRays,
     Sampled,
     Settings,
+    dense,
 )
 from devrf.lab.methods.method_table import Size
-from devrf.lab.methods.networks import Codes, Encoding, Mlp, RadianceMlp
+from devrf.lab.methods.networks import FREQUENCIES, Codes, Encoding, Mlp, RadianceMlp
 from devrf.reconstruct.rendering.rays import RayBatch
 
 SETTINGS: dict[Size, Settings] = {
-    "small": Settings(rays=512, samples=(24, 24), rate=2e-3, last_rate=2e-4),
+    "small": Settings(rays=256, samples=(24, 24), rate=5e-3, last_rate=5e-4),
     "full": Settings(rays=6144, samples=(128, 128), rate=1e-3, last_rate=1e-4),
 }
 TEMPLATE = {"small": (4, 96), "full": (8, 256)}  # depth and width
 WARP = {"small": (4, 64), "full": (6, 128)}
 CODE = 8
-WARP_FREQUENCIES = 8
+SPREAD: dict[Size, float] = {"small": 0.5, "full": 0.05}  # of codes of deformation at first
+WARP_FREQUENCIES: dict[Size, int] = {"small": 4, "full": 8}
+WARP_SHARE: dict[Size, float] = {"small": 0.2, "full": 1.0}  # of the rate
 WINDOW = 0.4  # of the budget until all frequencies of the deformation count
 ELASTIC, ROBUST = 1e-3, 0.03
 STAYS = 1.0  # weight of the loss by which what stands stays
-ELASTIC_POINTS = 256  # of a batch: each costs three more passes backward
+ELASTIC_POINTS: dict[Size, int] = {
+    "small": 64,
+    "full": 256,
+}  # of a batch: each costs three more passes backward
 
 
 class RigidWarp(nn.Module):
@@ -45,7 +51,7 @@ class RigidWarp(nn.Module):
     def __init__(self, size: Size, moments: Float[Tensor, " t"]) -> None:
         super().__init__()
         depth, width = WARP[size]
-        self.codes, self.place = Codes(moments, CODE), Encoding(3, WARP_FREQUENCIES)
+        self.codes, self.place = Codes(moments, CODE, SPREAD[size]), Encoding(3, WARP_FREQUENCIES[size])
         self.motion = Mlp(self.place.size + CODE, 6, depth, width, small=1e-4)
 
     def forward(self, x: Float[Tensor, "n 3"], code: Float[Tensor, "n c"]) -> Float[Tensor, "n 3"]:
@@ -54,7 +60,7 @@ class RigidWarp(nn.Module):
 
     def advance(self, share: float) -> None:
         """Open the window."""
-        self.place.alpha = WARP_FREQUENCIES * min(1.0, share / WINDOW)
+        self.place.alpha = self.place.frequencies * min(1.0, share / WINDOW)
 
 
 def moved(x: Float[Tensor, "n 3"], screw: Float[Tensor, "n 6"]) -> Float[Tensor, "n 3"]:
@@ -81,9 +87,10 @@ class Nerfies(RadianceField):
         """The template is told `more` channels beside the place."""
         super().__init__()
         depth, width = TEMPLATE[size]
+        self.warp_share = WARP_SHARE[size]
         self.warp = RigidWarp(size, moments)
         self.appearance = Codes(moments, CODE)
-        self.place, self.direction = Encoding(3, 10), Encoding(3, 4)
+        self.place, self.direction = Encoding(3, FREQUENCIES[size]), Encoding(3, 4)
         self.canonical = RadianceMlp(self.place.size + more, depth, width, self.direction.size + CODE)
 
     def forward(self, points: FieldPoints) -> Sampled:
@@ -93,7 +100,7 @@ class Nerfies(RadianceField):
         x = torch.lerp(points.x, self.warp(points.x, code), moves)
         look = torch.cat([self.direction(points.d), self.appearance(points.time) * moves], 1)
         density, rgb, _ = self.canonical(torch.cat([self.place(x), *self.beside(points, code)], 1), look)
-        return Sampled(nn.functional.softplus(density - 1), rgb, {})
+        return Sampled(dense(density), rgb, {})
 
     def beside(self, points: FieldPoints, code: Float[Tensor, "n c"]) -> list[Tensor]:
         """What the template is told beside the place."""
@@ -106,19 +113,22 @@ class Nerfies(RadianceField):
             return {}
         weight, time = seen.weights[moving].detach(), rays.time[moving]
         n = weight.shape[1]
-        picked = torch.multinomial(weight.reshape(-1) + 1e-9, ELASTIC_POINTS, True)
+        number = ELASTIC_POINTS[field.task.size]
+        picked = torch.multinomial(weight.reshape(-1) + 1e-9, number, True)
         x = seen.x[moving].reshape(-1, 3)[picked].detach().requires_grad_()
         code = self.warp.codes(time[picked // n])
         there = self.warp(x, code)
         columns = [torch.autograd.grad(there[:, k].sum(), x, create_graph=True)[0] for k in range(3)]
-        return {"elastic": ELASTIC * elastic(torch.stack(columns, 1)).mean()} | self._stays(field)
+        of_all = ELASTIC * weight.sum(1).mean()  # as the mean over rays of what each sample's weight counts
+        return {"elastic": of_all * elastic(torch.stack(columns, 1)).mean()} | self._stays(field)
 
     def _stays(self, field: FieldTraining) -> dict[str, Tensor]:
         """Points of the sweep outside the box, which holds what moves, stay where they are."""
         points = field.task.boxed.points
         if points is None or field.task.regime == "dynamic":
             return {}
-        pick = torch.randint(len(points.xyz), (ELASTIC_POINTS,), generator=field.generator).numpy()
+        number = ELASTIC_POINTS[field.task.size]
+        pick = torch.randint(len(points.xyz), (number,), generator=field.generator).numpy()
         xyz = torch.from_numpy(points.xyz[pick]).float().to(field.task.device)
         outside = ((xyz < field.space.low) | (xyz > field.space.high)).any(1)
         x = field.space.contracted(xyz[outside])
@@ -131,6 +141,19 @@ class Nerfies(RadianceField):
     def advance(self, share: float) -> None:
         """Open the window of the deformation."""
         self.warp.advance(share)
+
+    def rates(self) -> list[tuple[float, list[nn.Parameter]]]:
+        """The motion more slowly where rates are large: else it folds before there is something to move."""
+        moving = [*self.warp.motion.parameters(), *self.bent()]
+        ids = {id(p) for p in moving}
+        return [
+            (self.warp_share, moving),
+            (1.0, [p for p in self.parameters() if id(p) not in ids]),
+        ]
+
+    def bent(self) -> list[nn.Parameter]:
+        """Parameters, beside those of the warp, that say how the template is cut."""
+        return []
 
     def still(self) -> list[nn.Parameter]:
         """The template."""

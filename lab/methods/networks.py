@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from devrf.lab.methods.method_table import Size
+
 
 class Encoding(nn.Module):
     """Positional encoding (Mildenhall et al., NeRF, 2020, Eq. 4) with a window over its frequencies.
@@ -35,6 +37,18 @@ def window(alpha: float, frequencies: int) -> Float[Tensor, " j"]:
     return (1 - torch.cos(math.pi * (alpha - j).clamp(0, 1))) / 2
 
 
+FREQUENCIES: dict[Size, int] = {"small": 6, "full": 10}
+"""Of places, as NeRF has them; small pictures have nothing finer than the fewer ones."""
+
+
+def linear(inputs: int, outputs: int) -> nn.Linear:
+    """A layer that begins as NeRF's do (Glorot and Bengio 2010); torch's own shrink what goes through them."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.xavier_uniform_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
 class Mlp(nn.Module):
     """A perceptron whose input is joined again in the middle, as in NeRF.
 
@@ -58,12 +72,11 @@ class Mlp(nn.Module):
         self.skip = skip if skip is not None and skip < depth else None
         sizes = [inputs, *[width] * (depth - 1)]
         self.hidden = nn.ModuleList(
-            nn.Linear(size + (inputs if n == self.skip else 0), width) for n, size in enumerate(sizes)
+            linear(size + (inputs if n == self.skip else 0), width) for n, size in enumerate(sizes)
         )
-        self.out = nn.Linear(width, outputs)
+        self.out = linear(width, outputs)
         if small is not None:
             nn.init.uniform_(self.out.weight, -small, small)
-            nn.init.zeros_(self.out.bias)
 
     def features(self, x: Float[Tensor, "n i"]) -> Float[Tensor, "n w"]:
         """Before the last layer."""
@@ -113,9 +126,9 @@ class RadianceMlp(nn.Module):
     def __init__(self, place: int, depth: int, width: int, direction: int) -> None:
         super().__init__()
         self.trunk = Mlp(place, width, depth, width)
-        self.density = nn.Linear(width, 1)
+        self.density = linear(width, 1)
         self.colour = nn.Sequential(
-            nn.Linear(width + direction, width // 2), nn.ReLU(), nn.Linear(width // 2, 3), nn.Sigmoid()
+            linear(width + direction, width // 2), nn.ReLU(), linear(width // 2, 3), nn.Sigmoid()
         )
 
     def forward(

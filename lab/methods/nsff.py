@@ -18,14 +18,16 @@ from devrf.lab.methods.field import (
     RenderedRays,
     Sampled,
     Settings,
+    dense,
     quadrature,
+    spread_out,
 )
 from devrf.lab.methods.method_table import Size
-from devrf.lab.methods.networks import Encoding, Mlp, RadianceMlp
+from devrf.lab.methods.networks import FREQUENCIES, Encoding, Mlp, RadianceMlp
 from devrf.reconstruct.rendering.rays import RayBatch
 
 SETTINGS: dict[Size, Settings] = {
-    "small": Settings(rays=256, samples=(32, 0), rate=2e-3, last_rate=2e-4),
+    "small": Settings(rays=256, samples=(32, 0), rate=5e-3, last_rate=5e-4),
     "full": Settings(rays=1024, samples=(128, 0), rate=5e-4, last_rate=5e-5),
 }
 NETWORKS = {"small": (4, 96), "full": (8, 256)}  # depth and width
@@ -45,7 +47,11 @@ class SceneFlow(RadianceField):
     def __init__(self, size: Size, moments: Float[Tensor, " t"]) -> None:
         super().__init__()
         depth, width = NETWORKS[size]
-        self.place, self.direction, self.time = Encoding(3, 10), Encoding(3, 4), Encoding(1, 10)
+        self.place, self.direction, self.time = (
+            Encoding(3, FREQUENCIES[size]),
+            Encoding(3, 4),
+            Encoding(1, FREQUENCIES[size]),
+        )
         self.stands = RadianceMlp(self.place.size, depth, width, self.direction.size)
         self.blend = Mlp(self.place.size, 1, 2, width // 2, None)
         self.moves = RadianceMlp(self.place.size + self.time.size, depth, width, self.direction.size)
@@ -59,14 +65,14 @@ class SceneFlow(RadianceField):
         """What stands and what moves, blended (their Eq. 7)."""
         place, direction = self.place(points.x), self.direction(points.d)
         density, rgb, _ = self.stands(place, direction)
-        density = nn.functional.softplus(density - 1)
+        density = dense(density)
         rest = points.rest[:, None]
         blend = torch.lerp(torch.sigmoid(self.blend(place)), torch.ones_like(rest), rest)[:, 0]
         moving, colour, out = self.dynamic(points)
         both = blend * density + (1 - blend) * moving
         mixed = (blend * density)[:, None] * rgb + ((1 - blend) * moving)[:, None] * colour
         mixed = mixed / both.clamp(min=1e-6)[:, None]
-        return Sampled(both, mixed, {"density": moving, "rgb": colour, "out": out, "x": points.x})
+        return Sampled(both, mixed, {"density": moving, "rgb": colour, "out": out})
 
     def dynamic(
         self, points: FieldPoints
@@ -74,7 +80,7 @@ class SceneFlow(RadianceField):
         """Density and colour of what moves; flows and weights of occlusion before their activations."""
         encoded = torch.cat([self.place(points.x), self.time(2 * points.time[:, None] - 1)], 1)
         density, rgb, features = self.moves(encoded, self.direction(points.d))
-        return nn.functional.softplus(density - 1), rgb, self.flow(features)
+        return dense(density), rgb, self.flow(features)
 
     def advance(self, share: float) -> None:
         """How far training is."""
@@ -90,7 +96,8 @@ class SceneFlow(RadianceField):
         if not bool(who.any()):
             return {}
         n, own = seen.t.shape[1], who.repeat_interleave(seen.t.shape[1])
-        density, rgb, out, x = (seen.more[name][own] for name in ("density", "rgb", "out", "x"))
+        density, rgb, out = (seen.more[name][own] for name in ("density", "rgb", "out"))
+        x = seen.x[who].reshape(-1, 3)
         t, last = seen.t[who], field.last(rays)[who]
         d, time = rays.rays_d[who].repeat_interleave(n, 0), rays.time[who].repeat_interleave(n)
         weights = quadrature(density.reshape(-1, n), t, last)
@@ -101,7 +108,7 @@ class SceneFlow(RadianceField):
         for k, sign in ((0, 1.0), (1, -1.0)):
             inside = ((time + sign * self.gap >= -1e-6) & (time + sign * self.gap <= 1 + 1e-6)).float()
             there = FieldPoints(x + flows[:, k], d, time + sign * self.gap, torch.zeros_like(time))
-            other, colour, back = self.dynamic(there)
+            other, colour, back = self._elsewhere(field, there)
             back = STEP * torch.tanh(back[:, :6]).reshape(-1, 2, 3)[:, 1 - k]
             warped = quadrature(other.reshape(-1, n), t, last)
             picture, _ = field.composed(warped, colour.reshape(-1, n, 3), t)
@@ -113,6 +120,12 @@ class SceneFlow(RadianceField):
         found["little"] = LITTLE * (flows.abs().mean() + (flows.sum(1) ** 2).mean())
         found["even"] = EVEN * flows.reshape(-1, n, 6).diff(dim=1).abs().mean()
         return found | self._optical(field, rays, who, weights, x.reshape(-1, n, 3), flows[:, 1])
+
+    def _elsewhere(self, field: FieldTraining, points: FieldPoints) -> tuple[Tensor, ...]:
+        """As `dynamic`; nothing where nothing can be."""
+        where = field.space.may_hold(points.x)
+        where[:1] = True  # asked of something
+        return tuple(spread_out(values, where) for values in self.dynamic(points.only(where)))
 
     def _optical(
         self,

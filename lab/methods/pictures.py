@@ -1,17 +1,24 @@
-"""The pictures of a task as rays to train on, and the space that rays go through."""
+"""The pictures of a task as rays to train on, and the space that rays go through.
 
+Before a plain background all methods are told, as DeVRF finds for itself, where the subject can be at some time: the
+visual hull of its silhouettes. Elsewhere nothing is computed.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from devrf.capture.scene import Scene, plain_colour
+from devrf.capture.scene import PosedFrame, Scene, plain_colour
 from devrf.lab.methods.protocol import MethodTask
+from devrf.reconstruct.adapt.hull import box_of, visual_hull
 from devrf.reconstruct.rendering.rays import RayBatch, RaySet
 from devrf.reconstruct.sampling.pixel_flow import PixelFlow
 
 OUTER = 1e3  # box units: surroundings end here
+HULL, MARGIN = 64, 1.05  # vertices along a side of the grid of silhouettes; of the box around what they leave
 
 
 class TaskPictures:
@@ -68,27 +75,41 @@ class Space:
     """Where along rays something may be.
 
     Attributes:
-        low, high: Corners of the box.
+        low, high: Corners of the box: the scene's, or before a plain background around what can hold the subject.
         near: Nearest content, box units.
         behind: Colour behind a subject before a plain background; None: real surroundings.
+        hull: Vertices over the box at which the subject can be; None: everywhere.
     """
 
     low: Float[Tensor, " 3"]
     high: Float[Tensor, " 3"]
     near: float
     behind: Float[Tensor, " 3"] | None
+    hull: Bool[Tensor, "X Y Z"] | None = None
 
     @staticmethod
-    def of(scene: Scene, device: str) -> "Space":
-        """That of a scene in its box frame."""
-        colour = plain_colour(scene.background)
-        low, high = (torch.tensor(corner, dtype=torch.float32, device=device) for corner in scene.aabb)
-        return Space(low, high, scene.near, None if colour is None else torch.tensor(colour, device=device))
+    def of(task: MethodTask) -> "Space":
+        """That of a task, in the box frame."""
+        scene, device = task.boxed, task.device
+        colour, whole = plain_colour(scene.background), torch.tensor(scene.aabb, dtype=torch.float32)
+        if colour is None:
+            return Space(whole[0].to(device), whole[1].to(device), scene.near, None)
+        moments = _moments(task)
+        box = box_of(_swept(moments, whole, scene), whole, MARGIN)
+        box = whole if box is None else box
+        hull = _swept(moments, box, scene)
+        low, high = box.to(device)
+        return Space(low, high, scene.near, torch.tensor(colour, device=device), hull.to(device))
 
     @property
     def surrounded(self) -> bool:
         """Whether surroundings are seen."""
         return self.behind is None
+
+    @property
+    def filled(self) -> float:
+        """Share of the box that can hold something."""
+        return 1.0 if self.hull is None else float(self.hull.float().mean())
 
     def crossed(
         self, o: Float[Tensor, "R 3"], d: Float[Tensor, "R 3"]
@@ -123,6 +144,14 @@ class Space:
         largest = y.abs().amax(-1, keepdim=True).clamp(min=1)
         return (2 - 1 / largest) * (y / largest) / 2
 
+    def may_hold(self, y: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+        """Contracted places at which something can be."""
+        if self.hull is None:
+            return torch.ones_like(y[:, 0], dtype=torch.bool)
+        last = torch.tensor(self.hull.shape, device=y.device) - 1
+        at = ((self.expanded(y) - self.low) / (self.high - self.low) * last).round().long()
+        return self.hull[tuple(torch.minimum(at.clamp(min=0), last).T)]
+
     def expanded(self, y: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Back from [-1, 1]."""
         half, middle = (self.high - self.low).max() / 2, (self.low + self.high) / 2
@@ -130,3 +159,19 @@ class Space:
             return middle + half * y
         largest = (2 * y).abs().amax(-1, keepdim=True).clamp(1, 2 - 1 / OUTER)
         return middle + half * (2 * y / largest) / (2 - largest)
+
+
+def _moments(task: MethodTask) -> list[list[PosedFrame]]:
+    """Training pictures of the sweep, and those of each moment."""
+    static, moving = ([f for f in fs if f.split == "train"] for fs in (task.boxed.static, task.boxed.dynamic))
+    times = sorted({f.time for f in moving if f.time is not None})
+    swept = [] if task.regime == "dynamic" or not static else [static]
+    return [*swept, *([f for f in moving if f.time == time] for time in times)]
+
+
+def _swept(
+    moments: Sequence[Sequence[PosedFrame]], box: Float[Tensor, "2 3"], scene: Scene
+) -> Bool[Tensor, "X Y Z"]:
+    """Vertices over a box at which the subject can be at some time."""
+    hulls = [visual_hull(frames, box, (HULL, HULL, HULL), scene.background) for frames in moments]
+    return torch.stack(hulls).any(0)

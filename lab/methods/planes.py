@@ -21,6 +21,7 @@ from devrf.lab.methods.field import (
     RenderedRays,
     Sampled,
     Settings,
+    dense,
 )
 from devrf.lab.methods.method_table import Size
 from devrf.lab.methods.networks import Encoding
@@ -29,14 +30,15 @@ from devrf.lab.methods.protocol import MethodTask
 from devrf.reconstruct.rendering.rays import RayBatch
 
 SETTINGS: dict[Size, Settings] = {
-    "small": Settings(rays=1024, samples=(32, 32), rate=2e-2, last_rate=1e-3),
+    "small": Settings(rays=512, samples=(32, 32), rate=2e-2, last_rate=1e-3),
     "full": Settings(rays=4096, samples=(64, 64), rate=1e-2, last_rate=1e-4),
 }
 GRIDS: dict[str, tuple[tuple[int, ...], int]] = {
-    "small": ((32, 64, 128), 12),
+    "small": ((16, 32, 64), 12),
     "full": ((64, 128, 256, 512), 32),
 }
 HIDDEN = 64
+NETWORK_SHARE = 0.05  # of the rate (HexPlane: 0.02 and 0.001)
 PAIRS = tuple(combinations(range(4), 2))  # of x, y, z, t; those with t are 2, 4 and 5
 IN_TIME = tuple(n for n, pair in enumerate(PAIRS) if 3 in pair)
 OPPOSITE = ((0, 5), (1, 4), (3, 2))  # planes that complement each other: xy and zt, xz and yt, yz and xt
@@ -77,7 +79,7 @@ class Planes(RadianceField):
         found = [self._level(planes, place) for planes in self.levels()]
         h = self.density(torch.cat(found, 1))
         rgb = self.colour(torch.cat([h[:, 1:], self.direction(points.d)], 1))
-        return Sampled(nn.functional.softplus(10 * h[:, 0] - 1), rgb, {})
+        return Sampled(dense(h[:, 0]), rgb, {})
 
     def levels(self) -> list[list[nn.Parameter]]:
         """The six planes of each resolution."""
@@ -114,6 +116,11 @@ class Planes(RadianceField):
             "jerks": JERKS * torch.stack(jerks).sum(),
             "changes": CHANGES * torch.stack(changes).sum(),
         }
+
+    def rates(self) -> list[tuple[float, list[nn.Parameter]]]:
+        """HexPlane's networks learn at a twentieth of its planes' rate."""
+        networks = [*self.density.parameters(), *self.colour.parameters()]
+        return [(1.0, list(self.planes)), (NETWORK_SHARE if self.hex_plane else 1.0, networks)]
 
     def still(self) -> list[nn.Parameter]:
         """Planes of space and the networks."""

@@ -5,7 +5,7 @@ import resource
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,13 +20,19 @@ class Diverged(ReconstructError):
 
 
 class TrainingLog:
-    """Gathers numbers during training; `rows` are means over the iterations since the row before."""
+    """Gathers numbers during training; `rows` are means over the iterations since the row before.
 
-    def __init__(self, device: str, every: int) -> None:
-        self.device, self.every = device, every
+    Args:
+        device: cpu or cuda.
+        every: Iterations of a row.
+        clock: Tells seconds: of a wall's clock, or of the processor, where other programs must not count.
+    """
+
+    def __init__(self, device: str, every: int, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.device, self.every, self._clock = device, every, clock
         self.rows: list[dict[str, float]] = []
         self.iteration, self.rays = 0, 0
-        self.began = time.perf_counter()
+        self.began = self._clock()
         self._stopped: float | None = None
         self._sums: dict[str, list[torch.Tensor]] = defaultdict(list)
         if device != "cpu":
@@ -81,7 +87,7 @@ class TrainingLog:
     def take_up(self, state: dict[str, Any]) -> None:
         """Go on from a `state`."""
         self.iteration, self.rays, self.rows = state["iteration"], state["rays"], list(state["rows"])
-        self.began = time.perf_counter() - state["seconds"]
+        self.began = self._clock() - state["seconds"]
         self._sums = defaultdict(list)
         for name, values in state["sums"].items():
             self._sums[name] = [torch.tensor(v, device=self.device) for v in values]
@@ -89,18 +95,18 @@ class TrainingLog:
     @property
     def seconds(self) -> float:
         """Since the log was begun, pauses left out."""
-        return (self._stopped or time.perf_counter()) - self.began
+        return (self._stopped or self._clock()) - self.began
 
     @contextmanager
     def paused(self) -> Iterator[None]:
         """What is done meanwhile does not count as training."""
         self._finish_queued()
-        self._stopped = time.perf_counter()
+        self._stopped = self._clock()
         try:
             yield
         finally:
             self._finish_queued()
-            self.began += time.perf_counter() - self._stopped
+            self.began += self._clock() - self._stopped
             self._stopped = None
 
     def _finish_queued(self) -> None:

@@ -1,4 +1,4 @@
-"""docs/extending.md as it stands: the flow method is packaged, installed and run, the stage is put in and run."""
+"""docs/extending.md as it stands: flow method and motion model are installed, method and stage put in; all are run."""
 
 import json
 import os
@@ -18,6 +18,21 @@ from devrf.flow.store import read_flows
 
 PAGE = REPOSITORY / "docs" / "extending.md"
 INSERT = re.compile(r"^In `(\S+)`, before `(.+?)`:\n\n```\w+\n(.*?)^```", re.MULTILINE | re.DOTALL)
+TRAINED = """
+import sys
+from pathlib import Path
+
+from devrf.capture.formats.datasets import read_dataset
+from devrf.flow.dis import DisFlow
+from devrf.lab.methods.method_table import METHODS
+from devrf.lab.methods.protocol import MethodTask, TimeBudget
+from devrf.reconstruct.options import preset
+
+scene = read_dataset("nerfstudio", Path(sys.argv[1]))
+task = MethodTask(scene, {}, "joint", "small", "cpu", 0, preset, DisFlow)
+model = METHODS["grids"].load().train(task, TimeBudget(600.0, steps=3))
+assert model.render(task.boxed.dynamic[0].camera, 0.5)[0].shape == (80, 128, 3) and model.megabytes > 0.5
+"""
 STEP = 4  # pixels to the right per time
 
 
@@ -121,16 +136,17 @@ def why(devrf_process: Command, scene: Path, stage: str, *arguments: str) -> lis
 
 @pytest.fixture(scope="module")
 def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder for PYTHONPATH: devrf with the stage of the page in it."""
+    """Folder for PYTHONPATH: devrf with what the page puts into the repository."""
     folder = tmp_path_factory.mktemp("source")
     (folder / "devrf").mkdir()
     shutil.copy(REPOSITORY / "src" / "devrf" / "__init__.py", folder / "devrf")
-    for room in ("capture", "calibration", "flow", "reconstruct", "lab"):
+    for room in ("capture", "calibration", "flow", "reconstruct"):
         os.symlink(REPOSITORY / room, folder / "devrf" / room)
-    shutil.copytree(REPOSITORY / "pipelines", folder / "devrf" / "pipelines")
+    for room in ("pipelines", "lab"):
+        shutil.copytree(REPOSITORY / room, folder / "devrf" / room)
     write_files(folder / "devrf")
     insertions = INSERT.findall(PAGE.read_text(encoding="utf-8"))
-    assert len(insertions) == 4
+    assert len(insertions) == 5
     for file, before, text in insertions:
         path = folder / "devrf" / file
         source = path.read_text(encoding="utf-8")
@@ -139,6 +155,12 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
         start = source.rindex("\n", 0, place.start()) + 1
         path.write_text(source[:start] + text + source[start:], encoding="utf-8")
     return folder
+
+
+@pytest.mark.full
+def test_the_method(scene: Path, extended: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(extended))
+    subprocess.run([sys.executable, "-c", TRAINED, scene.parent], check=True)
 
 
 def test_the_stage(

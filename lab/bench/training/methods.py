@@ -152,7 +152,7 @@ def _written(
     """Rows, chart and pictures of what there is so far; printed at the end."""
     rows = [row for each in found.values() for row in _rows(each, contest)]
     rows += [Row(f"methods/{name}/test/psnr", None, "dB", why=why) for name, why in failed.items()]
-    rows += _reached(found)
+    rows += _still(found) + _reached(found)
     first = [each[0] for each in found.values()]
     drawn = None
     if first:
@@ -165,6 +165,7 @@ def _written(
         "regime": contest.regime,
         "size": contest.size,
         "seconds": contest.seconds,
+        "clock": "processor seconds" if bench.run.device == "cpu" else "seconds",
         "curves": {name: each[0].looks for name, each in found.items()},
         "front": {
             axis: [one.name for one in pareto(first, axis)] for axis in ("seconds", "megabytes", "fps")
@@ -185,6 +186,17 @@ def _rows(each: Sequence[Measured], contest: Contest) -> list[Row]:
     anchor, source = (None, None) if paper is None else (paper.psnr, TABLE_1)
     mean = Row(whole, float(np.mean(of)), "dB", spread(of), anchor, source)
     return [mean if row.name == whole else row for row in rows]
+
+
+def _still(found: dict[str, list[Measured]]) -> list[Row]:
+    """What the best scene at rest, by any method, scores if it is shown at all times."""
+    rows = []
+    for block in ("test", "test_moving"):
+        scores = [each[0].result["static_baseline"][block]["psnr"] for each in found.values()]
+        known = [score for score in scores if score is not None]
+        if known:
+            rows.append(Row(f"methods/nothing moves/{block}/psnr", max(known), "dB"))
+    return rows
 
 
 def _reached(found: dict[str, list[Measured]]) -> list[Row]:
@@ -214,7 +226,8 @@ def _beside(bench: Bench, contest: Contest, names: Sequence[str], path: Path) ->
     """The same test view as it is and as each method renders it, errors below."""
     tiles: list[tuple[Path, Path]] = []
     for name in names:
-        views = sorted((bench.out / f"seed{contest.seeds[0]}" / contest.folder(name)).rglob("*_error.png"))
+        errors = (bench.out / f"seed{contest.seeds[0]}" / contest.folder(name)).rglob("*_error.png")
+        views = sorted(errors, key=lambda path: (path.name, path))  # by moment: the middle one moves
         if views:
             error = views[len(views) // 2]
             tiles.append((error.with_name(error.name.replace("_error", "_rendered")), error))
