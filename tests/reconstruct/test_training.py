@@ -196,10 +196,9 @@ def test_divergence_is_noticed() -> None:
         log.add(10, {"mse": torch.tensor(float("nan"))})
 
 
-def test_looks_are_off_the_clock_and_come_less_and_less_often(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_looks_are_off_the_clock_and_come_less_and_less_often() -> None:
     now = [100.0]
-    monkeypatch.setattr("devrf.reconstruct.storage.training_log.time.perf_counter", lambda: now[0])
-    log, looked = TrainingLog("cpu", 10), []
+    log, looked = TrainingLog("cpu", 10, lambda: now[0]), []
 
     def look(model: str, seconds: float) -> None:
         looked.append((model, seconds))
