@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
 from hypothesis import settings
-from tests.type_checks import begin_test, check_first
+from tests.type_checks import check_once
 
 if TYPE_CHECKING:
     from devrf.capture.scene import Scene, Split
@@ -28,7 +28,7 @@ for _signal, _usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIG
     if signal.getsignal(_signal) is signal.SIG_IGN:
         signal.signal(_signal, _usual)
 
-check_first()  # before a test imports devrf
+check_once()  # before a test imports devrf
 
 settings.register_profile("same every time", derandomize=True, database=None, deadline=None)
 settings.load_profile("same every time")
@@ -71,11 +71,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return FIRST.index(place) if place in FIRST else len(FIRST)
 
     items.sort(key=rank)
-
-
-def pytest_runtest_setup() -> None:
-    """Types are checked anew in every test."""
-    begin_test()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
-from tests.type_checks import EVERY, FIRST, begin_test
 
 from devrf.capture.colour.light_course import clipped_share
 from devrf.capture.scene import SparsePoints
@@ -26,20 +25,3 @@ def test_an_axis_has_one_length_in_a_call() -> None:
     SparsePoints(np.zeros((2, 3)), np.zeros(5, int), np.zeros(5, int))
     with pytest.raises(TypeCheckError):
         SparsePoints(np.zeros((2, 3)), np.zeros(5, int), np.zeros(4, int))
-
-
-def test_some_of_many_calls_are_checked_and_the_first_of_every_test() -> None:
-    picture, wrong = np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4, 3), np.uint16)
-
-    def found() -> bool:
-        try:
-            clipped_share(wrong)  # pyright: ignore[reportArgumentType]
-        except TypeCheckError:
-            return True
-        return False
-
-    for _ in range(FIRST):
-        clipped_share(picture)
-    assert sum(found() for _ in range(3 * EVERY)) == 3
-    begin_test()
-    assert found()

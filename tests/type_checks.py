@@ -1,36 +1,26 @@
-"""Types and shapes of all of devrf's functions are checked while tests run: of a function's first calls in every test.
+"""Types and shapes of all of devrf's functions are checked while tests run.
 
 jaxtyping's import hook (`addopts` in pyproject.toml) decorates every function with `jaxtyping.jaxtyped`, which checks
-every call, arguments twice. Most of that time goes into functions that a test calls thousands of times. `check_first`,
-called before devrf is imported, puts a decorator in its place that checks each call once, of many calls in one test
-only the first `FIRST` and then every `EVERY`-th, and that compiles a function's checks when it is first called.
+every call, arguments twice. `check_once`, called before devrf is imported, puts a decorator in its place that checks
+each call once, and that compiles a function's checks when it is first called.
 """
 
 import dataclasses
 import functools
 import inspect
-from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any, ForwardRef, get_args
 
 import jaxtyping
 from beartype import BeartypeConf, beartype
 
-FIRST, EVERY = 32, 32
-
 _jaxtyped: Any = jaxtyping.jaxtyped
 _check = beartype(conf=BeartypeConf(violation_type=jaxtyping.TypeCheckError))
-_calls: Counter[Callable[..., Any]] = Counter()
 
 
-def check_first() -> None:
+def check_once() -> None:
     """Let the import hook decorate with the cheaper checks."""
     jaxtyping.jaxtyped = _checked
-
-
-def begin_test() -> None:
-    """Check first calls again."""
-    _calls.clear()
 
 
 def _checked(fn: Any = None, *, typechecker: Any = None) -> Any:
@@ -38,22 +28,19 @@ def _checked(fn: Any = None, *, typechecker: Any = None) -> Any:
     if fn is None:
         return functools.partial(_checked, typechecker=typechecker)
     if inspect.isfunction(fn):
-        return _first_calls(fn)
+        return _when_called(fn)
     if dataclasses.is_dataclass(fn) and inspect.isfunction(made := vars(fn).get("__init__")):
-        fn.__init__ = _first_calls(made)
+        fn.__init__ = _when_called(made)
         return fn
     return _jaxtyped(fn, typechecker=typechecker) if typechecker else _jaxtyped(fn)
 
 
-def _first_calls(fn: Callable[..., Any]) -> Callable[..., Any]:
+def _when_called(fn: Callable[..., Any]) -> Callable[..., Any]:
     checked: Callable[..., Any] | None = None
 
     @functools.wraps(fn)
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal checked
-        _calls[fn] += 1
-        if _calls[fn] > FIRST and _calls[fn] % EVERY:
-            return fn(*args, **kwargs)
         checked = checked or _with_checks(fn)
         return checked(*args, **kwargs)
 

@@ -63,7 +63,7 @@ class Sampled:
 
 @dataclass(frozen=True)
 class RenderedRays:
-    """RayBatch as they look.
+    """Rays as they look.
 
     Attributes:
         rgb: Colours.
@@ -212,7 +212,7 @@ class FieldTraining:
         return Sampled(spread_out(found.density, where), spread_out(found.rgb, where), more)
 
     def rendered(self, rays: RayBatch, jitter: bool) -> RenderedRays:
-        """RayBatch as they look; with `jitter` samples are drawn at random."""
+        """Rays as they look; with `jitter` samples are drawn at random."""
         even, more = self.settings.samples
         R, last = len(rays.time), self.last(rays)
         middle = torch.rand(R, even, generator=self.generator).to(rays.rays_o) if jitter else 0.5
@@ -309,9 +309,7 @@ class TrainedField:
         colours, depths = [], []
         for origin, direction in zip(o.split(AT_ONCE), d.split(AT_ONCE), strict=True):
             times = torch.full_like(origin[:, 0], moment)
-            numbers = torch.zeros_like(
-                times, dtype=torch.int64
-            )  # of pixels and pictures: they say nothing here
+            numbers = torch.zeros_like(times, dtype=torch.int64)  # of pixels and pictures: not asked here
             rays = RayBatch(origin, direction, torch.zeros_like(origin), None, times, numbers, numbers)
             rays = at_rest(rays, moment) if time is None else rays
             seen = training.rendered(rays, jitter=False)

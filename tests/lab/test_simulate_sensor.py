@@ -95,6 +95,17 @@ def test_even_light_on_a_grey_wall_has_little_noise() -> None:
     assert rows[:, 16:48].std() < 0.03
 
 
+def test_moments_of_an_exposure_are_as_bright_as_one_and_share_its_light_paths() -> None:
+    pytest.importorskip("mitsuba")
+    wall = np.array([[-2.0, 1, 3], [2, 1, 3], [2, 1, -1], [-2, 1, -1]])
+    camera = Camera(64, 48, _camera(64, 48).K, look_at(np.array([0.0, -0.5, 1]), np.array([0.0, 1, 1])))
+    renderer = Renderer([picture_on_quad(wall, np.full((8, 8, 3), 128, np.uint8))], spp=24)
+    whole, again = (renderer(camera, [], seed=n) for n in (0, 1))
+    moments = [renderer(camera, [], seed=n, moments=6) for n in range(6)]
+    np.testing.assert_allclose(np.mean(moments, (0, 1, 2)), whole.mean((0, 1)), rtol=0.01)
+    assert (moments[0] - moments[1]).std() > 1.5 * (whole - again).std()  # each has a part of the paths
+
+
 def test_exposure_is_linear_and_noise_has_the_asked_size() -> None:
     rng = np.random.default_rng(0)
     grey = np.full((200, 200, 3), 0.18, np.float32)

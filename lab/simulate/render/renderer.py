@@ -80,10 +80,8 @@ class Renderer:
         self._light = light or Light()
         self._spp = spp
         self._finish = finish or Finish()
-        self._lit, self._even = (
-            ShapeMaker(self._mi, self._light.ambient),
-            ShapeMaker(self._mi, EVEN, lit=False),
-        )
+        self._lit = ShapeMaker(self._mi, self._light.ambient)
+        self._even = ShapeMaker(self._mi, EVEN, lit=False)
         self._still = self._shapes(self._lit, still)
         self._still_even = self._shapes(self._even, still) if self._finish.gloss else []
         self._lenses: dict[tuple[object, ...], Lens] = {}
@@ -113,26 +111,24 @@ class Renderer:
         lamp = self._light.lamp(mi, lamp_shift_m)
         by_lamp = {"lamp": lamp, "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0}}
         around = [*self._still, *self._shapes(self._lit, beside)]
-        sharing = camera, moments
-        picture = self._picture(sharing, [*around, *self._shapes(self._lit, thing)], seed, by_lamp)
+        picture = self._picture(camera, [*around, *self._shapes(self._lit, thing)], seed, by_lamp, moments)
         if finish.gloss:  # what is mirrored, in place of what is painted: both in even light
             even = {"integrator": {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1}}
             room = [*self._still_even, *self._shapes(self._even, beside)]
             mirrored, painted = (
-                self._picture(sharing, [*room, *self._shapes(self._even, thing, mirror)], seed, even)
+                self._picture(camera, [*room, *self._shapes(self._even, thing, mirror)], seed, even, moments)
                 for mirror in (True, False)
             )
             picture = (picture + finish.gloss * (mirrored - painted)).clip(0)
         if finish.clear:
-            behind = self._picture(sharing, around, seed, by_lamp)
+            behind = self._picture(camera, around, seed, by_lamp, moments)
             picture = (1 - finish.clear) * picture + finish.clear * behind
         return picture
 
     def _picture(
-        self, sharing: tuple[Camera, int], shapes: list[Any], seed: int, light: dict[str, Any]
+        self, camera: Camera, shapes: list[Any], seed: int, light: dict[str, Any], moments: int
     ) -> np.ndarray:
-        mi, (camera, moments) = self._mi, sharing
-        fine = FINE if moments == 1 else 1
+        mi, fine = self._mi, FINE if moments == 1 else 1
         lens = self._lens(camera, fine)
         fine_camera = lens.pinhole(camera)
         samples = {"type": "independent", "sample_count": max(1, round(self._spp / fine**2 / moments))}

@@ -50,8 +50,6 @@ class SessionOptions(BaseModel):
     """Largest deviation of a camera's exposure from the sweep's, relative, in linear light."""
     exposure_s: float = Field(default=0.0, ge=0, le=0.1)
     """Exposure of the fixed cameras' pictures, seconds: what moves is blurred along its way; 0: not at all."""
-    exposure_moments: int = Field(default=0, ge=0, le=64)
-    """Moments of an exposure, which share the light paths of a picture; 0: six, each with all of them."""
     sway_m: float = Field(default=0.0, ge=0, le=0.1)
     """How far the object's top sways while the sweep is taken, metres, as someone who stands still does."""
     noise: float = Field(default=0.006, ge=0, le=0.2)

@@ -25,6 +25,7 @@ from devrf.lab.simulate.scenes.catalogue import (
     picture_on_quad,
     texture,
 )
+from devrf.lab.simulate.scenes.furniture import SPINES
 from devrf.lab.simulate.scenes.people import SHIRT, SKIN, Joints, person
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.scenes.shapes import (
@@ -53,16 +54,6 @@ ENAMEL = Paint((44, 92, 112), surface=materials.painted)
 TOOLS = Paint((178, 152, 114), surface=materials.pegboard)
 GARDEN = Paint((72, 100, 56), surface=materials.sky)
 TOWEL = Paint((196, 206, 212), surface=materials.linen)
-SPINES = (
-    (142, 44, 40),
-    (38, 70, 110),
-    (60, 96, 62),
-    (190, 160, 84),
-    (70, 62, 74),
-    (196, 188, 172),
-    (88, 50, 84),
-)
-
 TEXEL_M = 0.004
 BENCH_M, BENCH_X_M, BENCH_Y_M = 0.74, (-0.2, 0.34), (-0.5, 0.84)  # height, and what the top covers
 SIZE = 1.2  # the person against those of `people`

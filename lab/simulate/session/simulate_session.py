@@ -31,7 +31,7 @@ from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.system.writable import check_folder
 from devrf.lab.simulate.render.daylight import DAYLIGHT, lit
 from devrf.lab.simulate.render.mitsuba import load_mitsuba
-from devrf.lab.simulate.render.renderer import Finish, Renderer
+from devrf.lab.simulate.render.renderer import Finish, Light, Renderer
 from devrf.lab.simulate.render.sensor import (
     BoardCamera,
     ClipWriter,
@@ -115,7 +115,8 @@ def simulate_session(
     _check_folder(out)
     load_mitsuba()
     seeds = np.random.default_rng(seed).spawn(6)
-    if options.room == "workshop":
+    daylight = options.room == "workshop"
+    if daylight:
         around = workshop_room(seeds[0], options.texture_contrast)
     elif options.room == "patterned":
         around = room(seeds[0], options.texture_contrast)
@@ -124,12 +125,13 @@ def simulate_session(
     thing = make_object(scene, seeds[1], options)
     still = [*around.still, *thing.stand]
     if options.board:
-        still += standing_board(seeds[2], options, OAK if options.room == "workshop" else WOOD)
+        still += standing_board(seeds[2], options, OAK if daylight else WOOD)
     fixed = fixed_cameras(seeds[3], cameras, size, options)
     sweep = sweep_cameras(seeds[4], size, options)
-    light = DAYLIGHT if options.room == "workshop" else None
-    known = lit(still, light, _seed(seeds[0])) if light else still
-    renderer = Renderer(known, options.spp, Finish(options.gloss, options.clear), light)
+    light = DAYLIGHT if daylight else Light()
+    if daylight:
+        still = lit(still, light, _seed(seeds[0]))
+    renderer = Renderer(still, options.spp, Finish(options.gloss, options.clear), light)
 
     out.mkdir(parents=True, exist_ok=True)
     names = ["static", *(camera.name for camera in fixed)]
@@ -244,8 +246,7 @@ class _Work:
 
     def _exposed(self, camera: FixedCamera, middle_s: float, rng: np.random.Generator) -> np.ndarray:
         """The light of an exposure: the mean of moments of it, where it takes time."""
-        moments = self.options.exposure_moments
-        parts = (moments or EXPOSED) if self.options.exposure_s else 1
+        parts = EXPOSED if self.options.exposure_s else 1
         shares = (np.arange(parts) + 0.5) / parts - 0.5
         found = []
         for moment in (middle_s + self.options.exposure_s * shares).tolist():
@@ -256,7 +257,7 @@ class _Work:
                     _seed(rng),
                     beside=background_at(self.behind, moment, self.options),
                     lamp_shift_m=lamp_shift_m(moment, self.options),
-                    moments=max(moments, 1),
+                    moments=parts,
                 )
             )
         return sum(found[1:], start=found[0]) / parts
