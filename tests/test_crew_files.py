@@ -101,7 +101,7 @@ def cut_out(kind: str, n: int, picture: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("kind", "every", "about", "named"),
     [
-        ("stabilised", 2, "horizontal against vertical", "tabilisation"),
+        ("stabilised", 2, "from picture to picture", "tabilisation"),
         ("zoomed", 1, "one for all pictures", "000036"),
     ],
 )
@@ -118,7 +118,6 @@ def test_sweeps_whose_lens_is_elsewhere_in_each_picture(
     rows = json.loads((tmp_path / "run" / "static_poses" / "health.json").read_text())["rows"]
     found = {row["about"]: row for row in rows if row["verdict"] != "ok"}
     assert done.code == 3 and named in found[about]["remedy"]
-    assert "horizontal against vertical" in found
 
 
 @pytest.mark.full

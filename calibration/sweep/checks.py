@@ -17,9 +17,6 @@ FEWEST_OBSERVATIONS = 40  # of a picture, for a fit of 13 numbers to its residua
 SURE_FOCAL = 0.02  # standard deviation of a picture's own focal, relative; others have no say
 TWO_PEAKS_APART = 4.0  # gap between two groups over the scatter within them
 FEWEST_OF_A_ZOOM = 3  # pictures
-SURE_CENTRE = 0.02  # standard deviation of a picture's own principal point, of the width; others have no say
-FEWEST_OF_A_CROP = 6  # pictures
-MOVED_SIGMAS = 4.0
 FLAT = 0.01  # of the distance: relief that moves a focal length by less than other errors do
 NEAR = 0.25  # centres nearer than this share of the depth see the same things, ...
 SAME_WAY_DEG = 20.0  # ... if they look the same way
@@ -43,24 +40,19 @@ class PictureFits:
     Attributes:
         focal: Relative change of focal length that suits the picture (with its pose free) [N]; NaN: too few points.
         focal_std: Its standard deviation [N].
-        centre_px: Shift of the principal point that suits the picture (with its pose free) [N, 2]; NaN as above.
-        centre_std_px: Its standard deviation, of the less sure direction [N].
         rows_px: Size of the residuals that a pose drifting from the first row to the last explains beyond
             chance, root mean square over all pictures.
     """
 
     focal: Float[np.ndarray, " n"]
     focal_std: Float[np.ndarray, " n"]
-    centre_px: Float[np.ndarray, "n 2"]
-    centre_std_px: Float[np.ndarray, " n"]
     rows_px: float
 
 
 def picture_fits(model: SweepModel) -> PictureFits:
-    """Fit focal, principal point, and drift along rows, to every picture's residuals."""
+    """Fit focal length, and drift along rows, to every picture's residuals."""
     n = len(model.cameras)
     focal, focal_std = np.full(n, np.nan), np.full(n, np.nan)
-    centre, centre_std = np.full((n, 2), np.nan), np.full(n, np.nan)
     rows = observations = 0.0
     order = np.argsort(model.obs_image, kind="stable")
     ends = np.searchsorted(model.obs_image[order], np.arange(n + 1))
@@ -78,18 +70,13 @@ def picture_fits(model: SweepModel) -> PictureFits:
         base = _columns(weight, pose)
         solution, std = _with_std(np.column_stack([base, _columns(weight, zoom[..., None])]), r)
         focal[i], focal_std[i] = solution[-1], std[-1]
-        shift = np.broadcast_to(np.eye(2), (len(points), 2, 2))
-        solution, std = _with_std(np.column_stack([base, _columns(weight, shift)]), r)
-        centre[i], centre_std[i] = solution[-2:], std[-2:].max()
         down = xy[:, 1, None, None] / camera.height - 0.5
         drifting = np.column_stack([base, _columns(weight, pose * down)])
         after = _fit(drifting, r)[1]
         by_chance = 6 * after / max(1, len(r) - drifting.shape[1])  # six more unknowns fit some of the noise
         rows += _fit(base, r)[1] - after - by_chance
         observations += len(xy)
-    return PictureFits(
-        focal, focal_std, centre, centre_std, float(np.sqrt(max(0.0, rows) / max(1.0, observations)))
-    )
+    return PictureFits(focal, focal_std, float(np.sqrt(max(0.0, rows) / max(1.0, observations))))
 
 
 def two_zooms(model: SweepModel, fits: PictureFits, apart: float) -> TwoZooms | None:
@@ -111,24 +98,6 @@ def two_zooms(model: SweepModel, fits: PictureFits, apart: float) -> TwoZooms | 
             short, long = (tuple(sorted(model.names[i] for i in part)) for part in (sure[:cut], sure[cut:]))
             return TwoZooms(float(np.exp(high - low)), short, long)
     return None
-
-
-def moving_centre(model: SweepModel, fits: PictureFits) -> float:
-    """How far a camera's principal point moves from picture to picture beyond doubt, over the width: root mean square.
-
-    So does a crop that electronic stabilisation moves about.
-    """
-    moved = 0.0
-    lens = [camera.lens for camera in model.cameras]
-    for one in dict.fromkeys(lens):
-        mine = [i for i, c in enumerate(model.cameras) if lens[i] == one]
-        sure = [i for i in mine if fits.centre_std_px[i] < SURE_CENTRE * model.cameras[i].width]
-        if len(sure) < FEWEST_OF_A_CROP:
-            continue
-        off = fits.centre_px[sure] - np.median(fits.centre_px[sure], axis=0)
-        beyond = np.median((off**2).sum(axis=1)) - MOVED_SIGMAS * np.median(fits.centre_std_px[sure]) ** 2
-        moved = max(moved, float(np.sqrt(max(0.0, beyond))) / model.cameras[sure[0]].width)
-    return moved
 
 
 def fold(camera: Camera) -> float:

@@ -46,6 +46,8 @@ POLISH_ITERATIONS = 200  # 20 to 40 are usual
 PLAIN_LENS = 1.002
 LEAST_POINTS = 30  # of a picture; with fewer its pose is a guess, and health refuses what is built on it
 MOST_WEAK = 0.2  # of the pictures: where more are weak, leaving them out mends nothing
+# Whether crops move about is seen long before the solver is done, and by these points of ten thousands.
+CROP_POINTS, CROP_ITERATIONS = 3000, 25
 FULL, PLAIN = pycolmap.CameraModelId.OPENCV, pycolmap.CameraModelId.RADIAL
 
 
@@ -127,6 +129,7 @@ def _publish(mapping: Mapping, database: Path, job: dict[str, Any], held: set[in
         mapping.best, adjusted = _polish(mapping.best, job["principal_point_from"], held)
         asked = job["film"] and not held and mapping.deadline.left_s() > 0
         adjusted["zoom"] = _zoomed(mapping.best, not adjusted["plain_lens"]) if asked else None
+        adjusted["crops"] = _crops(mapping.best) if mapping.deadline.left_s() > 0 else None
     with pycolmap.Database.open(str(database)) as db:
         write_two_views(db, _images_of, _kind, Path(job["out"]))
         written = write_model(mapping.best, db, Path(job["out"]))
@@ -304,7 +307,9 @@ def _without_weak(model: pycolmap.Reconstruction) -> list[str]:
 
 
 def _zoomed(model: pycolmap.Reconstruction, doubted: bool) -> dict[str, Any] | None:
-    """Where a film's lens zoomed: the first picture after it, the focal lengths, the error with both."""
+    """Where a film's lens zoomed: the first picture after it, both focal lengths, the residuals' size with them over
+    that without.
+    """
     seen = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
     if len(model.cameras) > 1 or model.cameras[seen[0].camera_id].model != FULL:
         return None
@@ -314,9 +319,8 @@ def _zoomed(model: pycolmap.Reconstruction, doubted: bool) -> dict[str, Any] | N
         two = pycolmap.Reconstruction()
         for n, part in enumerate((seen[:cut], seen[cut:]), 1):
             if part:
-                _add_pictures(two, n, part, model.cameras[part[0].camera_id])
-        for point in model.points3D.values():
-            two.add_point3D(point.xyz, pycolmap.Track(list(point.track.elements)), point.color)
+                _add_pictures(two, n, part, _plain(model.cameras[part[0].camera_id]))
+        _add_points(two, list(model.points3D.values()))
         _adjust(two, options, set())
         focals = [two.cameras[n].mean_focal_length() for n in sorted(two.cameras)]
         return TwoLenses(_error(two), focals[0], focals[-1])
@@ -328,23 +332,70 @@ def _zoomed(model: pycolmap.Reconstruction, doubted: bool) -> dict[str, Any] | N
     return {
         "from": seen[cut].name,
         "focal_px": [lenses.before_px, lenses.after_px],
-        "error_px": lenses.error_px,
+        "error": lenses.error_px / fit(0).error_px,
     }
+
+
+def _crops(model: pycolmap.Reconstruction) -> dict[str, float]:
+    """Whether each picture wants a principal point of its own, as where stabilisation moves a crop about the sensor.
+
+    Returns:
+        `apart`: how far these points lie from the median of their lens, over the width, median over pictures;
+        `error`: the residuals' size with them over that without.
+    """
+    seen = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
+    points = [model.points3D[k] for k in sorted(model.points3D)]
+    points = points[:: len(points) // CROP_POINTS + 1]
+    own = pycolmap.Reconstruction()
+    for image in seen:
+        _add_pictures(own, image.image_id, [image], model.cameras[image.camera_id])
+    _add_points(own, points)
+    before = _error(own)
+    options = _adjustment()
+    options.ceres.solver_options.max_num_iterations = CROP_ITERATIONS
+    options.refine_focal_length = options.refine_extra_params = False
+    options.refine_principal_point = True
+    _adjust(own, options, set())
+    centre = {
+        i.image_id: np.array([(c := own.cameras[i.image_id]).principal_point_x, c.principal_point_y])
+        for i in seen
+    }
+    off = []
+    for lens in sorted({i.camera_id for i in seen}):
+        mine = np.array([centre[i.image_id] for i in seen if i.camera_id == lens])
+        off.append(np.linalg.norm(mine - np.median(mine, axis=0), axis=1) / model.cameras[lens].width)
+    return {"apart": float(np.median(np.concatenate(off))), "error": _error(own) / max(before, 1e-9)}
+
+
+def _plain(lens: pycolmap.Camera) -> pycolmap.Camera:
+    """One that begins as this one and has neither tangential distortion nor oblong pixels."""
+    fx, fy, *centre_and_radial = lens.params[:6]
+    params = [float(np.sqrt(fx * fy)), *centre_and_radial]
+    return pycolmap.Camera(model=PLAIN, width=lens.width, height=lens.height, params=params)
 
 
 def _add_pictures(
     model: pycolmap.Reconstruction, camera_id: int, images: list[pycolmap.Image], lens: pycolmap.Camera
 ) -> None:
-    """Add pictures and what they show, with a plain camera of their own that begins as this one."""
-    fx, fy, *centre_and_radial = lens.params[:6]
-    params = [float(np.sqrt(fx * fy)), *centre_and_radial]
+    """Add pictures and where they show features, with a camera of their own that begins as this one."""
     model.add_camera_with_trivial_rig(
-        pycolmap.Camera(camera_id=camera_id, model=PLAIN, width=lens.width, height=lens.height, params=params)
+        pycolmap.Camera(
+            camera_id=camera_id,
+            model=lens.model,
+            width=lens.width,
+            height=lens.height,
+            params=list(lens.params),
+        )
     )
     for image in images:
         xy = pycolmap.Point2DList([pycolmap.Point2D(p.xy) for p in image.points2D])
         own = pycolmap.Image(name=image.name, points2D=xy, camera_id=camera_id, image_id=image.image_id)
         model.add_image_with_trivial_frame(own, image.cam_from_world())
+
+
+def _add_points(model: pycolmap.Reconstruction, points: list[pycolmap.Point3D]) -> None:
+    for point in points:
+        model.add_point3D(point.xyz, pycolmap.Track(list(point.track.elements)), point.color)
 
 
 def _polish(

@@ -195,6 +195,39 @@ print(json.dumps([worker.LEAST_POINTS, none, found, images[10].name, weak, poor,
 """
 
 
+CROPS = """
+import json
+import devrf.calibration.sweep.sfm_worker as worker
+import numpy as np, pycolmap
+pycolmap.set_random_seed(1)
+options = pycolmap.SyntheticDatasetOptions()
+options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 24, 400
+options.camera_width, options.camera_height = 640, 480
+options.camera_model_id = pycolmap.CameraModelId.OPENCV
+options.camera_params = [500, 500, 330, 236, -0.06, 0.01, 0, 0]
+model = pycolmap.synthesize_dataset(options)
+noise = pycolmap.SyntheticNoiseOptions()
+noise.point2D_stddev = 0.4
+pycolmap.synthesize_noise(noise, model)
+found = []
+for shift_px in (0, 20):
+    for n, image in enumerate(sorted(model.images.values(), key=lambda i: i.name)):
+        for point in image.points2D:
+            point.xy = point.xy + [shift_px * np.sin(2 * n), shift_px * np.cos(3 * n)]
+    model, _ = worker._polish(model, 20, set())
+    found.append(worker._crops(model))
+print(json.dumps(found))
+"""
+
+
+def test_principal_points_that_move_are_told_from_one_that_stays():
+    done = subprocess.run([sys.executable, "-c", CROPS], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    stays, moves = json.loads(done.stdout.splitlines()[-1])
+    assert stays["error"] > 0.99 and moves["error"] < 0.97  # the noise of 0.4 px stays
+    assert moves["apart"] == pytest.approx(20 / 640, rel=0.3)
+
+
 @pytest.mark.full
 def test_a_zoom_in_mid_film_is_found_and_a_picture_of_few_points_left_out():
     done = subprocess.run([sys.executable, "-c", HALVES], capture_output=True, text=True, timeout=120)
