@@ -11,7 +11,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-DEMO := examples/waving-sheet
+DEMO := examples/workshop
 DEMO_OUT := $(DEMO)/runs
 
 WORKERS ?= 2

@@ -10,7 +10,7 @@ setup(
     packages=["devrf", "devrf.api", EXAMPLE, *(f"devrf.{d}" for d in DOMAINS), *INSIDE],
     package_dir={
         "devrf": "src/devrf",
-        EXAMPLE: "examples/waving-sheet",
+        EXAMPLE: "examples/workshop",
         **{f"devrf.{d}": d for d in DOMAINS},
     },
 )

@@ -11,7 +11,7 @@ import cv2
 import yaml
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
+EXAMPLE = REPOSITORY / "examples" / "workshop"
 TABLE = yaml.safe_load(Path(__file__).with_name("golden.yaml").read_text(encoding="utf-8"))
 
 
@@ -53,7 +53,7 @@ class Case:
 
     def prepare(self, folder: Path, data: Path) -> None:
         """Write what its commands need into its folder, from the example and the captures in `data`."""
-        places = {"data": data, "example": EXAMPLE}
+        places = {"data": data, "example": EXAMPLE, "sheet": REPOSITORY / "tests" / "sheet"}
         if self.copied:
             source = Path(self.copied.format(**places))
             scene = yaml.safe_load((source / "scene.yaml").read_text(encoding="utf-8"))

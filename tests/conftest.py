@@ -34,7 +34,7 @@ settings.register_profile("same every time", derandomize=True, database=None, de
 settings.load_profile("same every time")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-EXAMPLE = REPOSITORY / "examples" / "waving-sheet"
+EXAMPLE = REPOSITORY / "examples" / "workshop"
 RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 # of `whole_run`; they take minutes, so one worker makes each for all tests
 RUNS = ("example_run", "small_run")
@@ -274,7 +274,7 @@ def small_run(devrf: Command, tmp_path_factory: pytest.TempPathFactory) -> Examp
 
     from devrf.pipelines.stages import render
 
-    scene = write_small_session(EXAMPLE, tmp_path_factory.mktemp("small"))
+    scene = write_small_session(tmp_path_factory.mktemp("small"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(render.SIZES, "tiny", SMALL_FILM)
         result = devrf("run", scene, "--device", "cpu")

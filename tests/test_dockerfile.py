@@ -10,7 +10,7 @@ from tests.test_package import PYTHONS
 REPOSITORY = Path(__file__).resolve().parent.parent
 BUILT_OF = (
     "src",
-    "examples/waving-sheet",
+    "examples/workshop",
     "capture",
     "calibration",
     "flow",

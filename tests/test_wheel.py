@@ -14,7 +14,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 ROOMS = ("capture", "calibration", "flow", "reconstruct", "pipelines", "lab")
 
 
-EXAMPLE = "examples/waving-sheet"
+EXAMPLE = "examples/workshop"
 MOST_BYTES = 15_000_000
 
 
@@ -100,7 +100,7 @@ def test_installed_elsewhere_it_runs_its_example(wheel: Path, tmp_path: Path) ->
     assert called("--version").startswith("devrf ")
     assert "ablation" in called("bench", "--help") and "--protocol" in called("simulate", "--help")
     called("demo", "here", "--until", "ingest", "--quiet")
-    stamp = tmp_path / "here" / "runs" / "sheet" / "ingest" / "stamp.json"
+    stamp = tmp_path / "here" / "runs" / "workshop" / "ingest" / "stamp.json"
     assert stamp.is_file() and str(REPOSITORY) not in stamp.read_text()
     called("demo", "here", "--until", "ingest", "--quiet")
     clips = "import devrf; print(*devrf.ingest('here', quiet=True), devrf.__file__)"

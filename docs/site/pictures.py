@@ -21,8 +21,8 @@ from devrf.capture.video.reader import VideoReader
 from devrf.lab.simulate.session.damage import blurred, relit
 
 DOCS = Path(__file__).resolve().parents[1]
-EXAMPLE = DOCS.parent / "examples" / "waving-sheet"
-TILE = (288, 216)
+EXAMPLE = DOCS.parent / "examples" / "workshop"
+TILE = (288, 162)
 RIGHT, WRONG = "#1b7f3b", "#b3261e"
 # the worst of `sweep_blur`, at which cameras found no place; as a room without lamps
 BLUR, DARK_STOPS = 0.04, -4.0
@@ -99,7 +99,7 @@ def draw_camera(axis: plt.Axes, world_from_camera: np.ndarray, K: list, width: i
 def sweep(path: Path) -> None:
     """Neighbouring pictures, and what blur and too little light look like."""
     pictures = read(EXAMPLE / "static.mp4")
-    here = 25
+    here = 12
     tiles = [
         (pictures[here], "a picture of the sweep", RIGHT),
         (pictures[here + NEXT], "the next shows most of it again", RIGHT),
@@ -115,7 +115,7 @@ def rest(path: Path) -> None:
     """A clip of a fixed camera: at rest, then moving."""
     pictures = read(EXAMPLE / "cam0.mp4")
     texts = ("first at rest, as in the sweep", "then it moves", "and stays in the picture")
-    tiled([(pictures[n], text, RIGHT) for n, text in zip((2, 18, 34), texts, strict=True)], path)
+    tiled([(pictures[n], text, RIGHT) for n, text in zip((2, 30, 50), texts, strict=True)], path)
 
 
 def board(path: Path) -> None:
@@ -123,11 +123,11 @@ def board(path: Path) -> None:
     pictures = read(EXAMPLE / "charuco_cam0.mp4")
     tiles = [
         (pictures[4], "near and tilted", RIGHT),
-        (pictures[13], "tilted the other way", RIGHT),
-        (pictures[6], "into every corner", RIGHT),
+        (pictures[3], "tilted the other way", RIGHT),
+        (pictures[8], "into every corner", RIGHT),
         (with_board(read(EXAMPLE / "cam0.mp4")[0]), "too far away", WRONG),
         (blurred(pictures[4], BLUR), "moved too fast", WRONG),
-        (pictures[10][-150:, -200:], "hardly in the picture", WRONG),
+        (pictures[0][75:255, 180:500], "hardly in the picture", WRONG),
     ]
     tiled(tiles, path)
 
@@ -139,7 +139,7 @@ def with_board(picture: np.ndarray) -> np.ndarray:
     width, height = picture.shape[1] // 8, picture.shape[1] * 3 // 32
     small = cv2.resize(printed, (width, height), interpolation=cv2.INTER_AREA)
     out = picture.copy()
-    out[190 : 190 + height, 330 : 330 + width] = small[..., None]
+    out[150 : 150 + height, 420 : 420 + width] = small[..., None]
     return out
 
 

@@ -10,8 +10,8 @@ from devrf.pipelines.terminal.console import Talk
 from devrf.pipelines.terminal.disk_errors import disk_told
 
 INSTALLED = Path(devrf.__file__).with_name("example")  # by setup.py, which takes it from ...
-IN_A_CLONE = Path(__file__).parents[2] / "examples" / "waving-sheet"
-OURS = (".mp4", ".json", ".yaml", ".md")
+IN_A_CLONE = Path(__file__).parents[2] / "examples" / "workshop"
+OURS = (".mp4", ".json", ".npz", ".yaml", ".md")
 
 
 def lay_out(talk: Talk, folder: Path) -> Path:

@@ -76,7 +76,19 @@ def _about(trained: Trained, made: "Splats") -> dict[str, Any]:
         "behind": made.behind.tolist(),
         "metres": trained.scale if trained.scene.metric else None,
         "times": seconds,
+        "start": _telling(trained, seconds),
     }
+
+
+def _telling(trained: Trained, seconds: list[float]) -> float:
+    """With which of the times the page begins."""
+    from devrf.reconstruct.film.subject import subject_of
+
+    subject, scene = subject_of(trained.model, film_cameras(trained.boxed)), trained.scene
+    if subject is None:
+        return seconds[0]
+    at_s = scene.t0_s + subject.telling * (scene.t1_s - scene.t0_s)
+    return min(seconds, key=lambda s: abs(s - at_s))
 
 
 def _subtitle(trained: Trained) -> str:

@@ -114,7 +114,7 @@ async function begin() {
     key === "0" || key === "Home" ? () => show(0) : about.views[Number(key)] && key > "0" ? () => show(Number(key)) : null);
   // for programs that embed the page, and for tests
   window.player = { state, about, canvas, orbit, show, setTime, setPlaying, changed };
-  setTime(first);
+  setTime(about.start);
   setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   document.body.classList.add("ready");
   requestAnimationFrame(frame);

@@ -29,6 +29,7 @@ class Film:
         names: By layer (colour, depth) the name of its file without a suffix, or of its folder.
         format: mp4, which shows depth in colours, or png: a folder of pictures, depth in steps of 16 bits.
         depth: How depth is shown; needed where that layer is asked for.
+        still: The picture that stands for the film; None: the one in its middle.
     """
 
     cameras: tuple[Camera, ...]
@@ -37,6 +38,7 @@ class Film:
     names: Mapping[str, str]
     format: str = "mp4"
     depth: DepthScale | None = None
+    still: int | None = None
 
     @property
     def count(self) -> int:
@@ -47,27 +49,27 @@ class Film:
 def make_film(
     film: Film, model: DynamicModel, folder: Path, progress: Progress
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """Write a film's layers into a folder; returns the colours of the picture in its middle.
+    """Write a film's layers into a folder; returns the colours of the picture that stands for it.
 
     Raises:
         OSError, CaptureError: It cannot be written.
     """
-    middle = np.zeros((0, 0, 3), np.uint8)
+    shown, still = np.zeros((0, 0, 3), np.uint8), film.count // 2 if film.still is None else film.still
     with ExitStack() as stack:
         put = {layer: stack.enter_context(_writer(film, folder / name)) for layer, name in film.names.items()}
         for n, (camera, time) in enumerate(zip(film.cameras, film.times, strict=True)):
             layers = render_layers(model, camera, time)
             picture = to_8_bits(layers[0])
-            if n == film.count // 2:
-                middle = picture
+            if n == still:
+                shown = picture
             if "colour" in put:
                 put["colour"](picture)
             if "depth" in put:
                 assert film.depth is not None
-                shown = depth_steps if film.format == "png" else depth_colours
-                put["depth"](shown(planar_depth(camera, layers, film.depth), film.depth))
+                as_levels = depth_steps if film.format == "png" else depth_colours
+                put["depth"](as_levels(planar_depth(camera, layers, film.depth), film.depth))
             progress((n + 1) / film.count, f"{n + 1} of {film.count} pictures")
-    return middle
+    return shown
 
 
 @contextmanager

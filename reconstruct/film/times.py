@@ -5,6 +5,17 @@ import numpy as np
 from devrf.capture.scene import Scene
 from devrf.capture.system.errors import InputError
 
+AT_REST_S = 4.0  # of a film of what does not move
+BRIEF_S = 3.0  # motion that is over sooner is shown at half speed
+
+
+def film_seconds(scene: Scene) -> float:
+    """How long a film takes that shows the motion at its speed, or at half of it where that is brief."""
+    if not scene.dynamic:
+        return AT_REST_S
+    span_s = scene.t1_s - scene.t0_s
+    return span_s if span_s >= BRIEF_S else 2 * span_s
+
 
 def film_times(scene: Scene, count: int) -> list[float | None]:
     """Times that run evenly from the first to the last; None throughout where nothing moves."""

@@ -34,7 +34,7 @@ def orbit(
         lens: A camera with the pictures' size and intrinsics.
     """
     span = Span.of(cameras, aabb)
-    share = _phase(count) if span.closed else MARGIN + (1 - 2 * MARGIN) * _pendulum(count)
+    share = _phase(count) if span.closed else MARGIN + (1 - 2 * MARGIN) * pendulum(count)
     out = []
     for azimuth in span.start + span.extent * share:
         elevation, distance = span.near(float(azimuth))
@@ -53,11 +53,11 @@ def spiral(
     wide = float(np.clip(SPIRAL_SHARE * span.extent, least, most))
     high = float(np.clip(SPIRAL_SHARE * np.ptp(span.elevation), least, wide))
     out = []
-    for phase in 2 * np.pi * _phase(count):
+    for angle in 2 * np.pi * _phase(count):
         place = span.place(
-            middle + wide * np.sin(SPIRAL_TURNS * phase),
-            elevation + high * np.cos(SPIRAL_TURNS * phase),
-            distance * (1 - SPIRAL_DEPTH * np.sin(phase)),
+            middle + wide * np.sin(SPIRAL_TURNS * angle),
+            elevation + high * np.cos(SPIRAL_TURNS * angle),
+            distance * (1 - SPIRAL_DEPTH * np.sin(angle)),
         )
         out.append(span.looking(lens, place))
     return out
@@ -99,6 +99,6 @@ def _phase(count: int) -> Float[np.ndarray, " count"]:
     return np.arange(count) / count
 
 
-def _pendulum(count: int) -> Float[np.ndarray, " count"]:
+def pendulum(count: int) -> Float[np.ndarray, " count"]:
     """From 0 to 1 and back."""
     return 0.5 - 0.5 * np.cos(2 * np.pi * _phase(count))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from tests.make.models import RADIUS, TRAVEL, moving_ball, moving_parts
 from tests.pipelines.trained_run import SCALE, write_trained
 
@@ -90,6 +91,22 @@ def test_parts_and_tracks_are_the_same_motion(parts: devrf.Reconstruction) -> No
     np.testing.assert_allclose(ways[:, 2], np.tile(at_rest[2], (9, 1)), atol=1e-6)
     assert np.linalg.norm(ways[-1, 1] - ways[0, 1]) == pytest.approx(0.6 / SCALE, abs=1e-5)
     np.testing.assert_allclose(np.linalg.det(stick.poses), 1.0, atol=1e-5)
+
+
+def test_every_moment_can_be_asked_for_though_some_lie_outside_the_common_time(
+    parts: devrf.Reconstruction,
+) -> None:
+    movers = parts.model.movers
+    assert movers is not None
+    wider = replace(movers, times=torch.linspace(-0.02, 1.03, len(movers.times)))
+    scene = replace(parts, model=replace(parts.model, movers=wider))
+    at_rest = np.array([[0.4, 0.0, -0.25]]) / SCALE  # on the ball
+    ways = scene.tracks(at_rest)
+    for n in (0, -1):
+        time_s = float(scene.times_s[n])
+        assert scene.render("cam0", time_s).opacity.max() > 0.99
+        np.testing.assert_allclose(scene.tracks(ways[n], time_s)[n], ways[n], atol=VOXEL)
+    raised("option-out-of-range", scene.render, "cam0", 1.04 * scene.times_s[-1])
 
 
 def test_a_camera_between_two(ball: devrf.Reconstruction) -> None:

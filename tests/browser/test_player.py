@@ -95,6 +95,7 @@ def test_rigid_parts_turn_as_the_model_does(page: Any, tmp_path: Path) -> None:
     run = write_trained(tmp_path, model=model).parent / "run"
     folder = export(Talk("quiet"), run, Options("player", splats=3000, times="0s,1s"))
     opened(page, folder / "player.html")
+    assert page.evaluate("player.about.start") == 1.0  # farthest from where they rest, at 0.375
     seen = {}
     for moment in (0.0, 0.5, 1.0):  # between them it turns along the arc
         page.evaluate(f"player.setTime({moment})")
@@ -127,7 +128,14 @@ def test_a_needle_turns_with_its_node(page: Any, tmp_path: Path) -> None:
     ways = torch.stack([keys.at(key, needles).places[:1] for key in (0, 1)])
     packed = pack(needles, ways, keys)
     view = _told("start", look_at(np.array([0.3, -2.0, 1.2])), np.zeros(3))
-    about = {"up": [0, 0, 1], "behind": [1, 1, 1], "metres": None, "times": [0.0, 1.0], "views": [view]}
+    about = {
+        "up": [0, 0, 1],
+        "behind": [1, 1, 1],
+        "metres": None,
+        "times": [0.0, 1.0],
+        "start": 0.0,
+        "views": [view],
+    }
     path = tmp_path / "player.html"
     path.write_text(player_page("needle", "", about | {"splats": packed.about}, packed.data))
     opened(page, path)
@@ -142,6 +150,7 @@ def test_a_needle_turns_with_its_node(page: Any, tmp_path: Path) -> None:
 
 def test_mouse_keys_and_touch_move_it(page: Any, pages: dict[str, Path]) -> None:
     opened(page, pages["moving"])
+    page.evaluate("player.setTime(0)")
     model, centre = boxed_model(), SIDE / 2
 
     def eye() -> np.ndarray:
@@ -194,6 +203,7 @@ def test_keys_are_heard_after_the_bar_was_used(page: Any, pages: dict[str, Path]
 
 def test_it_plays(page: Any, pages: dict[str, Path]) -> None:
     opened(page, pages["moving"])
+    page.evaluate("player.setTime(0)")
     page.select_option("#speed", "0.5")
     assert not page.evaluate("player.state.playing")  # as a reader who wants reduced motion asks
     page.focus("#canvas")

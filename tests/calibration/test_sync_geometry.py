@@ -3,12 +3,12 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from tests.conftest import EXAMPLE
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
 from devrf.calibration.clocks.epipolar_tracks import TrackFinder, essential, sampson, track_delay
@@ -17,8 +17,6 @@ from devrf.calibration.clocks.geometry import GeometryCheck, PairCheck, check_cl
 from devrf.calibration.formats import find_calibration
 from devrf.capture.camera import Camera
 from devrf.capture.video.reader import VideoReader
-
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
 
 
 def poster(direction: str, offset_s: float, baseline_m: float, seed: int = 0) -> TimedPictures:
@@ -74,7 +72,8 @@ def example_view(name: str, shift_s: float = 0.0) -> TimedPictures:
     pose = np.linalg.inv(np.array(truth["pose"]))[:3]
     with VideoReader(EXAMPLE / f"{name}.mp4") as reader:
         frames = list(reader)
-    camera = Camera(480, 360, K, pose, np.array([truth["k1"], 0, 0, 0, 0]))
+    rows, columns = frames[0].rgb.shape[:2]
+    camera = Camera(columns, rows, K, pose, np.array([truth["k1"], 0, 0, 0, 0]))
     grey = np.stack([cv2.cvtColor(f.rgb, cv2.COLOR_RGB2GRAY) for f in frames])
     file_s = np.array([f.time_s for f in frames])
     return TimedPictures(camera, grey, truth["offset_s"] + shift_s + (1 + 1e-6 * truth["drift_ppm"]) * file_s)

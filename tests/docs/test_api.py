@@ -62,8 +62,8 @@ def test_cells_of_the_notebook_on_small_run(
 
     matplotlib.use("agg")
     cells = [cell for cell in json.loads(NOTEBOOK.read_text())["cells"] if cell["cell_type"] == "code"]
-    (tmp_path / "waving-sheet" / "runs").mkdir(parents=True)
-    (tmp_path / "waving-sheet" / "runs" / "sheet").symlink_to(small_run.run_dir)
+    (tmp_path / "workshop" / "runs").mkdir(parents=True)
+    (tmp_path / "workshop" / "runs" / "workshop").symlink_to(small_run.run_dir)
     names = run_blocks(["".join(cell["source"]) for cell in cells], tmp_path, monkeypatch)
     assert names["test"]["psnr"] > names["still"]["psnr"]
 

@@ -83,7 +83,7 @@ def test_the_schema_for_editors_is_current(written: Path) -> None:
 def test_the_schema_takes_the_example_and_no_slip(tmp_path: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
     schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
-    example = yaml.safe_load((DOCS.parent / "examples/waving-sheet/scene.yaml").read_text(encoding="utf-8"))
+    example = yaml.safe_load((DOCS.parent / "examples/workshop/scene.yaml").read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)
     jsonschema.validate(example, schema)
     for slip in ({"presett": "tiny"}, {"preset": "slow"}, {"reconstruct": {"resolution": "high"}}):

@@ -104,7 +104,8 @@ def test_cameras_are_brought_to_the_exposure_of_the_sweep(whole_run: ExampleRun)
     for name, camera in colours["cameras"].items():
         if name == "static":
             continue
-        assert abs(camera["stops"] - math.log2(true[name]["gain"])) < 3 * camera["stops_std"] < 0.03
+        off = abs(camera["stops"] - math.log2(true[name]["gain"]))
+        assert off < 3 * camera["stops_std"] < 0.05 and off < 0.01  # plain walls say less than textured ones
         if name == "witness":  # of test pictures nothing is fitted
             assert camera["source"] == "none" and camera["matrix"] == np.eye(3).tolist()
         else:

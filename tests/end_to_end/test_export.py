@@ -1,4 +1,4 @@
-"""What the example's run leaves, taken elsewhere: the sheet is where it truly was."""
+"""What the example's run leaves, taken elsewhere: what moves is where it truly was."""
 
 import json
 from pathlib import Path
@@ -16,13 +16,13 @@ from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.request import Options
 from devrf.pipelines.terminal.console import Talk
 
-TIME_S = 1.3  # in mid-motion: half of the sheet's points are 0.1 m or more from where they rest
+TIME_S = 1.3  # in mid-motion: half of the points are 0.1 m or more from where they rest
 MEDIAN_M = 0.015  # a voxel and a half; measured 0.008
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("whole_run", ["example_run"], indirect=True)
-def test_the_sheet_that_moves_is_where_it_was(whole_run: ExampleRun, tmp_path: Path) -> None:
+def test_what_moves_is_where_it_was(whole_run: ExampleRun, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
     options = Options("glb", tmp_path / "out", times=f"{TIME_S}s", device="cpu")
     folder = export(Talk("quiet"), whole_run.run_dir, options)
@@ -39,7 +39,7 @@ def test_the_sheet_that_moves_is_where_it_was(whole_run: ExampleRun, tmp_path: P
     ).reshape(-1, 3)
     for shape, time in ((mesh.vertices, 0.0), (mesh.shapes[0], TIME_S)):
         there = shape @ true_from_world[:3, :3].T + true_from_world[:3, 3]
-        sheet = points[0] if time == 0.0 else true
-        assert np.median(KDTree(there).query(sheet)[0]) < MEDIAN_M
+        thing_then = points[0] if time == 0.0 else true
+        assert np.median(KDTree(there).query(thing_then)[0]) < MEDIAN_M
     assert np.median(np.linalg.norm(true - points[0], axis=1)) > 5 * MEDIAN_M  # so that it tells
     assert max(facts["forward_motion"]["median"]) < facts["forward_motion"]["voxel"]

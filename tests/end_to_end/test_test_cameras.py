@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from tests.conftest import EXAMPLE
 from tests.end_to_end.small_session import WITNESS, write_small_session
 from tests.make.clips import film
 
@@ -124,7 +123,7 @@ def assert_alike(one: dict[str, Any], other: dict[str, Any]) -> None:
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
-    scene = write_small_session(EXAMPLE, tmp_path_factory.mktemp("test_cameras") / "true")
+    scene = write_small_session(tmp_path_factory.mktemp("test_cameras") / "true")
     content = yaml.safe_load(scene.read_text())
     content["reconstruct"] |= SMALLER
     scene.write_text(yaml.safe_dump(content))

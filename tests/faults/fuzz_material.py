@@ -94,7 +94,7 @@ def _clips(folder: Path, repository: Path, data: Path, out: dict[str, Target]) -
     for ending, codecs in made.items():
         _encode(folder / f"made.{ending}", *codecs)
     real = {
-        "example": repository / "examples/waving-sheet/cam0.mp4",
+        "example": repository / "examples/workshop/cam0.mp4",
         "webcam": data / "caliscope_charuco_calibration/calibration/extrinsic/cam_0.mp4",
         "qualisys": data / "pose2sim_single/videos/cam01.mp4",
     }
@@ -296,7 +296,7 @@ def _small_files(folder: Path, repository: Path, data: Path, out: dict[str, Targ
     steps = np.linspace(-3, 3, 48 * 64 * 2, dtype=np.float32).reshape(48, 64, 2)
     write_pair(folder / "000001.npz", steps, np.full((48, 64), 9, np.uint8), {"a": 1})
     np.savez_compressed(folder / "flow.npz", flow=steps, mask=np.ones((48, 64), bool))
-    shutil.copy(repository / "examples/waving-sheet/ground_truth.json", folder / "truth.json")
+    shutil.copy(repository / "examples/workshop/ground_truth.json", folder / "truth.json")
     cv2.imwrite(str(folder / "matte.png"), np.full((48, 64), 255, np.uint8))
     shutil.copyfile(data / "weights/raft-small.pth", folder / "raft.pth")
     (folder / "lpips").mkdir()

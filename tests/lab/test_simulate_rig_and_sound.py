@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.scenes.catalogue import CENTRE, ROOM_HALF_M
 from devrf.lab.simulate.scenes.session_options import SessionOptions
@@ -66,6 +67,22 @@ def test_sweep_goes_all_around_at_two_heights_and_sees_the_board() -> None:
     facing = ways @ pose[:3, 2] > 0.5
     inside = (pixels > 0).all(axis=1) & (pixels < np.array([480, 360])).all(axis=1) & facing
     assert inside.sum() >= 15
+
+
+def test_the_high_ring_looks_where_it_is_told() -> None:
+    options = OPTIONS.model_copy(update={"sweep_aim_m": 1.3})
+    usual, level = (sweep_cameras(np.random.default_rng(0), (640, 360), o) for o in (OPTIONS, options))
+
+    def height_in_the_middle(camera: Camera) -> float:
+        ahead = camera.cam_from_world[2, :3]
+        return float(camera.centre[2] + ahead[2] * np.linalg.norm(camera.centre[:2]) / np.linalg.norm(ahead[:2]))
+
+    for before, after in zip(usual, level, strict=True):
+        if before.centre[2] > 1.5:
+            assert height_in_the_middle(before) == pytest.approx(0.95, abs=0.1)
+            assert height_in_the_middle(after) == pytest.approx(1.3, abs=0.1)
+        else:
+            np.testing.assert_array_equal(before.cam_from_world, after.cam_from_world)
 
 
 def test_seeds_give_other_clocks_and_places() -> None:

@@ -30,7 +30,7 @@ from devrf.pipelines.check.clock_preview import clock_measures
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.judge import judge
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "workshop"
 
 
 def view(room: np.ndarray, objects: np.ndarray, x: float, light: float = 1.0) -> np.ndarray:

@@ -33,7 +33,7 @@ from devrf.pipelines.init.roles import guess_roles
 from devrf.pipelines.init.scene_yaml import scene_yaml
 from devrf.pipelines.terminal.console import Talk
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "waving-sheet"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "workshop"
 STANDS = Steadiness(True, 1e-4, 1.0)
 MOVES = Steadiness(False, np.nan, 0.0)
 UNKNOWN = Steadiness(None, np.nan, 0.0)
@@ -259,7 +259,7 @@ def test_the_example_without_its_scene(devrf: Callable, tmp_path: Path) -> None:
     """Every role of the example from its clips alone; the truth beside them is not read."""
     for clip in EXAMPLE.glob("*.mp4"):
         (tmp_path / clip.name).symlink_to(clip)
-    result = devrf("init", tmp_path, "--name", "sheet")
+    result = devrf("init", tmp_path, "--name", "workshop")
     assert result.code == 0, result.said
     config, told = load_scene(tmp_path / "scene.yaml"), load_scene(EXAMPLE / "scene.yaml")
     assert config.capture is not None and told.capture is not None and told.capture.board is not None

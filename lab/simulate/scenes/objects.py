@@ -121,8 +121,8 @@ def _grid(rows: int, columns: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 PHONES = tuple(  # of phones: 25 and 30 hertz, 1/100 s, one upright
-    "room=workshop sweep_frames=68 fps=25 other_fps=30 portrait=true duration_s=2.6 rest_s=0.25 camera_distance_m=1.75 "
-    "exposure_s=0.01 noise=0.008 spp=4 crf=22 board_frames=12".split()
+    "room=workshop sweep_frames=68 sweep_aim_m=1.3 fps=25 other_fps=30 portrait=true duration_s=2.6 rest_s=0.25 "
+    "camera_distance_m=1.75 exposure_s=0.01 noise=0.008 spp=4 crf=22".split()
 )
 
 

@@ -16,6 +16,9 @@ class SessionOptions(BaseModel):
     """Frame rate of the sweep's video, hertz."""
     sweep_radius_m: float = Field(default=1.5, gt=0.8, le=1.75)
     """Distance of the sweep's path from the middle of the room."""
+    sweep_aim_m: float = Field(default=0.95, ge=0.2, le=2)
+    """Height at which the sweep's high ring, at 1.6 m, looks in the middle of the room: what stands behind, too, from
+    about 1.3 on."""
     fps: float = Field(default=16.0, gt=0, le=240)
     """Frame rate of the fixed cameras, hertz."""
     sweep_motion: float = Field(default=0.0, ge=0, le=1)

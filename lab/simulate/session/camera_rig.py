@@ -90,7 +90,9 @@ def sweep_cameras(rng: np.random.Generator, size: tuple[int, int], options: Sess
     low = (count - at_board + 1) // 2
     high = count - at_board - low
     path = [(BOARD_AZIMUTH_DEG + 360 * i / low, 0.95, 1.0) for i in range(low)]
-    path += [(BOARD_AZIMUTH_DEG + 360 * (i + 0.5) / max(high, 1), 1.6, 0.95) for i in range(high)]
+    path += [
+        (BOARD_AZIMUTH_DEG + 360 * (i + 0.5) / max(high, 1), 1.6, options.sweep_aim_m) for i in range(high)
+    ]
     path += [(BOARD_AZIMUTH_DEG + 80 * (i / max(at_board - 1, 1) - 0.5), 1.2, 0.68) for i in range(at_board)]
     cameras = []
     for azimuth, height, aim in path:

@@ -210,13 +210,16 @@ class Reconstruction:
                 check_made(self.run_folder, ("deformation",))
             text = f"time_s {time_s:g}: nothing moves in {self.run_folder}; expected None, the scene at rest"
             raise InputError("scene-without-motion", text)
-        time = (time_s - t0_s) / (t1_s - t0_s)
-        if not -SLACK <= time <= 1 + SLACK:
+        # moments of tracking begin and end with the clip that does so first and last
+        first_s, last_s = min(t0_s, *self.times_s[:1]), max(t1_s, *self.times_s[-1:])
+        slack_s = SLACK * (t1_s - t0_s)
+        if not first_s - slack_s <= time_s <= last_s + slack_s:
             expected = (
-                f"expected {t0_s:.3f} to {t1_s:.3f} s on the first camera's clock, or None: the scene at rest"
+                f"{first_s:.3f} to {last_s:.3f} s on the first camera's clock, or None: the scene at rest"
             )
-            raise InputError("option-out-of-range", f"time_s {time_s:g}: outside the clip; {expected}")
-        return float(np.clip(time, 0, 1))
+            text = f"time_s {time_s:g}: outside the clip; expected {expected}"
+            raise InputError("option-out-of-range", text)
+        return float((np.clip(time_s, first_s, last_s) - t0_s) / (t1_s - t0_s))
 
 
 def load(run_folder: str | Path, *, device: str = "auto") -> Reconstruction:
