@@ -75,7 +75,9 @@ def test_the_high_ring_looks_where_it_is_told() -> None:
 
     def height_in_the_middle(camera: Camera) -> float:
         ahead = camera.cam_from_world[2, :3]
-        return float(camera.centre[2] + ahead[2] * np.linalg.norm(camera.centre[:2]) / np.linalg.norm(ahead[:2]))
+        return float(
+            camera.centre[2] + ahead[2] * np.linalg.norm(camera.centre[:2]) / np.linalg.norm(ahead[:2])
+        )
 
     for before, after in zip(usual, level, strict=True):
         if before.centre[2] > 1.5:
