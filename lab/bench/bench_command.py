@@ -116,16 +116,33 @@ def stability(
     ] = None,
     seeds: SeedsOption = 1,
     minutes: Annotated[float, typer.Option(min=0, help="No case begins later")] = math.inf,
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Methods side by side, out of {', '.join(METHODS)}; default: the pipeline as it is"
+        ),
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=1, help="With --methods: of training, of each")] = 60.0,
 ) -> None:
     """Where the pipeline breaks: the scene along one axis of damage at a time, and what the pipeline says there.
 
-    A suite that was stopped goes on where it was, with the same --out.
+    With --methods: where which method fails, on what the pipeline calibrates (joint, small networks). A suite that was
+    stopped goes on where it was, with the same --out.
     """
     from devrf.lab.bench.stability.axes import AXES, GROUPS, axes_of
     from devrf.lab.bench.stability.suite import Extent, run_stability
 
     chosen = list(AXES) if axes is None else axes_of(names_of("--axes", axes, [*GROUPS, *AXES]))
-    run_stability(asked.run, asked.folder, chosen, Extent(severities, range(seeds), minutes), asked.rows)
+    extent = Extent(severities, range(seeds), minutes)
+    if methods is None:
+        run_stability(asked.run, asked.folder, chosen, extent, asked.rows)
+        return
+    from devrf.lab.bench.stability.methods_suite import run_stability_of_methods
+    from devrf.lab.bench.training.methods import Contest
+
+    names = names_of("--methods", methods, list(METHODS))
+    contest = Contest(names, "joint", "small", seconds, None, extent.seeds)
+    run_stability_of_methods(asked.run, asked.folder, chosen, extent, contest, asked.rows)
 
 
 add_accuracy(bench)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import viser
+from jaxtyping import Float
 from viser.transforms import SO3
 
 from devrf.capture.camera import Camera
@@ -12,16 +13,34 @@ from devrf.capture.scene import Scene
 from devrf.reconstruct.geometry.camera_arc import film_cameras, film_lens
 from devrf.reconstruct.geometry.paths import orbit
 
-BACK = 1.15  # times as far away as the cameras is the first view, or the room is not seen
+# Times as far away as the cameras is the first view, so that the room is seen; nearer where something stands between:
+# right before a place from which nobody looked all that is modelled is fog.
+BACK = (1.15, 1.07, 1.0)
+BETWEEN = 0.5  # of the distance to the box's middle
 
 
 def first_camera(scene: Scene) -> Camera:
     """The middle of what the cameras saw, a little farther away; in the box frame."""
-    cameras = film_cameras(scene)
+    cameras, target = film_cameras(scene), scene.aabb.mean(axis=0)
     camera = orbit(cameras, scene.aabb, 4, film_lens(cameras))[1]  # the middle of a swing
     R, centre = camera.cam_from_world[:, :3], camera.centre
-    back = centre - (BACK - 1) * max(float(R[2] @ (scene.aabb.mean(axis=0) - centre)), 0.1) * R[2]
-    return replace(camera, cam_from_world=np.column_stack([R, -R @ back]))
+    away = max(float(R[2] @ (target - centre)), 0.1)
+    views = [
+        replace(camera, cam_from_world=np.column_stack([R, -R @ (centre - (back - 1) * away * R[2])]))
+        for back in BACK
+    ]
+    return next((view for view in views if _nothing_between(view, scene, target)), views[-1])
+
+
+def _nothing_between(camera: Camera, scene: Scene, target: Float[np.ndarray, "3"]) -> bool:
+    """Whether none of the sweep's points in a camera's picture is much nearer than what it looks at."""
+    if scene.points is None:
+        return True
+    at = camera.project(scene.points.xyz)  # NaN behind it
+    with np.errstate(invalid="ignore"):
+        shown = ((at >= 0) & (at < [camera.width, camera.height])).all(1)
+    away = np.linalg.norm(scene.points.xyz[shown] - camera.centre, axis=1)
+    return bool((away >= BETWEEN * np.linalg.norm(target - camera.centre)).all())
 
 
 def seen_by(page: viser.CameraHandle, width: int, height: int) -> Camera:

@@ -102,6 +102,45 @@ def test_a_suite_goes_on_where_it_was(devrf: Any, suite: Suite) -> None:
     assert before == {path: path.read_text() for path in stamps}
 
 
+def test_methods_stand_side_by_side(devrf: Any, arm: Path, tmp_path: Path) -> None:
+    arguments = [
+        *("bench", "stability", str(arm), "--axes", "pose_noise,learning_rate", "--severities", "1"),
+        *(
+            "--methods",
+            "d-nerf,k-planes",
+            "--seconds",
+            "1",
+            "--out",
+            str(tmp_path),
+            "--device",
+            "cpu",
+            *SETTINGS,
+        ),
+    ]
+    done = devrf(*arguments)
+    assert done.code == 0, done.said[-2000:]
+    content = json.loads((tmp_path / "stability.json").read_text())
+    rows = {row["name"]: row for row in content["rows"]}
+    for name in ("d-nerf", "k-planes"):
+        for case in ("undisturbed", "pose_noise/16"):
+            assert 5 < rows[f"stability/{name}/{case}/psnr_moving"]["value"] < 60
+        assert f"stability/{name}/pose_noise/failure point" in rows
+    assert "DeVRF alone" in content["left_out"]["learning_rate"] and list(content["axes"]) == ["pose_noise"]
+    assert (tmp_path / "stability.png").stat().st_size > 10_000
+    trained = {
+        path: path.stat().st_mtime_ns for path in tmp_path.glob("*/seed0/methods/seed0/*/metrics.json")
+    }
+    assert len(trained) == 4
+    assert devrf(*arguments).code == 0
+    assert trained == {path: path.stat().st_mtime_ns for path in trained}
+
+
+def test_methods_that_do_not_exist_are_named(devrf: Any, arm: Path, tmp_path: Path) -> None:
+    scene = ("bench", "stability", str(arm), "--axes", "pose_noise", "--out", str(tmp_path / "o"))
+    done = devrf(*scene, "--methods", "nerf")
+    assert done.code == 2 and "d-nerf" in done.said and not (tmp_path / "o").exists()
+
+
 def test_axes_that_do_not_exist_are_named(devrf: Any, arm: Path, tmp_path: Path) -> None:
     for scene in ((), (str(arm),)):  # without one nothing is rendered first
         done = devrf("bench", "stability", *scene, "--axes", "poses", "--out", str(tmp_path / "o"))

@@ -21,7 +21,7 @@ from devrf.capture.measure import Verdict
 from devrf.capture.scene import Scene
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.lab.bench.stability.axes import AXES
-from devrf.lab.bench.stability.damage.intact import Damage, Intact
+from devrf.lab.bench.stability.damage.intact import Damage, DoesNotApply, Intact
 from devrf.pipelines.run_folder.outcomes import read_health
 from devrf.pipelines.run_folder.workspace import is_disk_full
 from devrf.pipelines.runner.execute import execute
@@ -103,7 +103,13 @@ class _Listener(Talk):
 
 
 def run_case(
-    base: Run, out: Path, axis: str, severity: float, seed: int, undisturbed: Scene | None = None
+    base: Run,
+    out: Path,
+    axis: str,
+    severity: float,
+    seed: int,
+    undisturbed: Scene | None = None,
+    last: str = LAST,
 ) -> tuple[Result, Path]:
     """Run one case, or go on with it.
 
@@ -112,6 +118,7 @@ def run_case(
         out: Folder of all cases.
         axis, severity, seed: Which.
         undisturbed: What the undisturbed case of the same seed made; None for that case itself.
+        last: The last stage; before `LAST` there are no scores.
     Returns:
         What came of it, and its run folder.
     Raises:
@@ -133,13 +140,15 @@ def run_case(
     if undisturbed is not None:
         intact = Intact(config, base.scene_dir, undisturbed, folder.resolve(), severity, seed)
         done = AXES[axis].damaging(intact)
+        if done.options is not None and last != LAST:
+            raise DoesNotApply("training-not-ours", "it damages the training of DeVRF alone")
     damaged = (done.stage,) if done.options is None else TRAININGS
     stages = [_damaged(s, done, folder, axis, severity, seed) if s.name in damaged else s for s in STAGES]
     _link_finished(_undisturbed_run(out, axis, seed), folder, damaged)
     heard, refusals = _Listener(), list[DevrfError]()
     watched = [_watched(stage, refusals) for stage in stages]
     run = Run(
-        done.config, base.scene_dir, watched, Choice(last=LAST, allow_unhealthy=True), heard, base.device
+        done.config, base.scene_dir, watched, Choice(last=last, allow_unhealthy=True), heard, base.device
     )
     code = execute(run)
     of_error, text = heard.errors[-1] if heard.errors else ("", "")
@@ -151,7 +160,8 @@ def run_case(
     if code != DONE and not refusals:
         raise DevrfError(of_error, f"{axis} {severity:g}, seed {seed}: {text}")
     stopped = None if code == DONE else text.partition("\nlog: ")[0]
-    return _result(run.run_dir, axis, severity, seed, stopped, run.fresh), run.run_dir
+    result = _result(run.run_dir, axis, severity, seed, stopped, run.fresh)
+    return (_scored(result, run.run_dir) if stopped is None and last == LAST else result), run.run_dir
 
 
 def _result(
@@ -172,9 +182,11 @@ def _result(
     stamps = [read_stamp(run_dir / stage) or {} for stage in stages]
     seconds = sum(stamp.get("seconds") or 0.0 for stamp in stamps)
     anew = axis in AXES and AXES[axis].films_anew
-    result = Result(axis, severity, seed, stopped, seconds=seconds, complaints=complaints, films_anew=anew)
-    if stopped is not None:
-        return result
+    return Result(axis, severity, seed, stopped, seconds=seconds, complaints=complaints, films_anew=anew)
+
+
+def _scored(result: Result, run_dir: Path) -> Result:
+    """The same with what stage `evaluate` found."""
     metrics = json.loads((run_dir / LAST / "metrics.json").read_text())
     truth = metrics.get("truth", {})
     moving, baseline = motion_psnr(metrics)

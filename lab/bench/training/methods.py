@@ -59,7 +59,7 @@ def run_methods(bench: Bench, contest: Contest, json_path: Path) -> list[Row]:
         InputError: A method cannot do what is asked for; nothing was trained.
     """
     methods = {name: METHODS[name].load() for name in contest.names}
-    task = _task(bench, contest, contest.seeds[0])
+    task = method_task(bench, contest, contest.seeds[0])
     for name, method in methods.items():
         check(name, method, task)
     found: dict[str, list[Measured]] = {}
@@ -67,7 +67,7 @@ def run_methods(bench: Bench, contest: Contest, json_path: Path) -> list[Row]:
     rows: list[Row] = []
     for name, method in methods.items():
         try:
-            found[name] = [_measured(bench, contest, name, method, seed) for seed in contest.seeds]
+            found[name] = [measured(bench, contest, name, method, seed) for seed in contest.seeds]
         except (DevrfError, MemoryError) as error:
             failed[name] = str(error) or type(error).__name__
             bench.run.talk.say(f"{name}: {failed[name]}")
@@ -95,7 +95,7 @@ def check(name: str, method: Method, task: MethodTask) -> None:
         raise InputError("method-unfit", f"{name}: {why}; leave it out of --methods")
 
 
-def _task(bench: Bench, contest: Contest, seed: int) -> MethodTask:
+def method_task(bench: Bench, contest: Contest, seed: int) -> MethodTask:
     config, device = bench.run.config, bench.run.device
     return MethodTask(
         bench.scene,
@@ -109,7 +109,7 @@ def _task(bench: Bench, contest: Contest, seed: int) -> MethodTask:
     )
 
 
-def _measured(bench: Bench, contest: Contest, name: str, method: Method, seed: int) -> Measured:
+def measured(bench: Bench, contest: Contest, name: str, method: Method, seed: int) -> Measured:
     """One method trained and scored, now or when it was before."""
     folder = contest.folder(name)
 
@@ -121,7 +121,7 @@ def _measured(bench: Bench, contest: Contest, name: str, method: Method, seed: i
             looks.at(partial(_colours, model), seconds)
 
         budget = TimeBudget(contest.seconds, look, progress, contest.steps)
-        model = method.train(_task(bench, contest, seed), budget)
+        model = method.train(method_task(bench, contest, seed), budget)
         result = bench.scores(bench.scene, partial(_colours, model), bench.out / f"seed{seed}" / folder)
         return result | {"looks": looks.taken(), "seconds": last[0], "model_mb": model.megabytes}
 
