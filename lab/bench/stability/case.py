@@ -103,22 +103,16 @@ class _Listener(Talk):
 
 
 def run_case(
-    base: Run,
-    out: Path,
-    axis: str,
-    severity: float,
-    seed: int,
-    undisturbed: Scene | None = None,
-    last: str = LAST,
+    base: Run, out: Path, axis: str, severity: float, seed: int, undisturbed: Scene | None = None
 ) -> tuple[Result, Path]:
     """Run one case, or go on with it.
 
     Args:
-        base: The scene; its configuration is the undisturbed case's.
+        base: The scene; its configuration is the undisturbed case's. Where its choice ends before `LAST`, so does the
+            case, without scores.
         out: Folder of all cases.
         axis, severity, seed: Which.
         undisturbed: What the undisturbed case of the same seed made; None for that case itself.
-        last: The last stage; before `LAST` there are no scores.
     Returns:
         What came of it, and its run folder.
     Raises:
@@ -126,7 +120,7 @@ def run_case(
         InputError: The run folder cannot be used.
         DevrfError: The program or the machine failed, which says nothing about the damage.
     """
-    folder = _folder(out, axis, severity, seed)
+    folder, last = _folder(out, axis, severity, seed), base.choice.last or LAST
     folder.mkdir(parents=True, exist_ok=True)
     config = base.config.model_copy(
         update={

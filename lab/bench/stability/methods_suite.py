@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 
@@ -109,7 +109,8 @@ def _calibrated(
     base: Run, out: Path, axis: str, severity: float, seed: int, undisturbed: Scene | None = None
 ) -> Bench | Result:
     """A case up to its optical flow; the result, where it was stopped before."""
-    result, run_dir = run_case(base, out, axis, severity, seed, undisturbed, CALIBRATED)
+    only = replace(base, choice=Choice(last=CALIBRATED))
+    result, run_dir = run_case(only, out, axis, severity, seed, undisturbed)
     if result.stopped is not None:
         return result
     config = base.config.model_copy(update={"output": str(run_dir)})
