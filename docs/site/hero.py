@@ -4,7 +4,7 @@
     python docs/site/hero.py RUN FILE.webp   # of any run: what its test camera filmed, and the same view rendered
 
 The first has side by side what the witness filmed, which is not trained on; the same moments rendered from where no
-camera stood; the same with the ways of what moves.
+camera stood; the same with trails of what moves.
 """
 
 import json
