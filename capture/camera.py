@@ -93,6 +93,10 @@ class Camera:
         x = distort(p[..., :2] / z[..., None], self.distortion, self.model)
         return x @ self.K[:2, :2].T + self.K[:2, 2]
 
+    def in_picture(self, pixels: Float[np.ndarray, "*batch 2"]) -> Bool[np.ndarray, "*batch"]:
+        """Which pixels [..., 2] lie in the picture; not those of points behind the camera, which are NaN."""
+        return np.asarray(((pixels >= 0) & (pixels < [self.width, self.height])).all(axis=-1))
+
     def directions(self, pixels: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 3"]:
         """Unit viewing directions [..., 3] in the world through pixels [..., 2]."""
         x = (pixels - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T

@@ -35,7 +35,7 @@ settings.load_profile("same every time")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 EXAMPLE = REPOSITORY / "examples" / "workshop"
-RUN_LIMIT_S = 2400  # a hung library must not hang the tests
+RUN_LIMIT_S = 1500  # a hung library must not hang the tests
 # of `whole_run`; they take minutes, so one worker makes each for all tests
 RUNS = ("example_run", "small_run")
 SMALL_FILM = (12, 12.0, 8_000)  # for `stages.render.SIZES`: a film of a second

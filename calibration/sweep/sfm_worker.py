@@ -328,11 +328,11 @@ def _zoomed(model: pycolmap.Reconstruction, doubted: bool) -> dict[str, Any] | N
     found = zoom_step(fit, len(seen), doubted)
     if found is None:
         return None
-    cut, lenses = found
+    cut, lenses, share = found
     return {
         "from": seen[cut].name,
         "focal_px": [lenses.before_px, lenses.after_px],
-        "error": lenses.error_px / fit(0).error_px,
+        "error": share,
     }
 
 
@@ -356,15 +356,12 @@ def _crops(model: pycolmap.Reconstruction) -> dict[str, float]:
     options.refine_focal_length = options.refine_extra_params = False
     options.refine_principal_point = True
     _adjust(own, options, set())
-    centre = {
-        i.image_id: np.array([(c := own.cameras[i.image_id]).principal_point_x, c.principal_point_y])
-        for i in seen
-    }
     off = []
-    for lens in sorted({i.camera_id for i in seen}):
-        mine = np.array([centre[i.image_id] for i in seen if i.camera_id == lens])
-        off.append(np.linalg.norm(mine - np.median(mine, axis=0), axis=1) / model.cameras[lens].width)
-    return {"apart": float(np.median(np.concatenate(off))), "error": _error(own) / max(before, 1e-9)}
+    for number, lens in model.cameras.items():
+        mine = [own.cameras[i.image_id] for i in seen if i.camera_id == number]
+        centres = np.array([[c.principal_point_x, c.principal_point_y] for c in mine]).reshape(-1, 2)
+        off += (np.linalg.norm(centres - np.median(centres, axis=0), axis=1) / lens.width).tolist()
+    return {"apart": float(np.median(off)), "error": _error(own) / max(before, 1e-9)}
 
 
 def _plain(lens: pycolmap.Camera) -> pycolmap.Camera:

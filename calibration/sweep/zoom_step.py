@@ -19,8 +19,9 @@ class TwoLenses(NamedTuple):
 
 def zoom_step(
     fit: Callable[[int], TwoLenses], count: int, doubted: bool = True
-) -> tuple[int, TwoLenses] | None:
-    """The number of the first picture after the zoom, and what fits then; None where one lens does as well.
+) -> tuple[int, TwoLenses, float] | None:
+    """The number of the first picture after the zoom, what fits then, and its error over that of one lens; None where
+    one does as well.
 
     Args:
         fit: What fits a film that is cut before a picture; 0: one that is not cut.
@@ -42,4 +43,5 @@ def zoom_step(
     while step > 1:
         step = (step + 1) // 2
         best = min((c for c in (best, best - step, best + step) if c in cuts), key=error_px)
-    return (best, tried[best]) if error_px(best) < BETTER * error_px(0) else None
+    share = error_px(best) / error_px(0)
+    return (best, tried[best], share) if share < BETTER else None

@@ -36,10 +36,8 @@ def _nothing_between(camera: Camera, scene: Scene, target: Float[np.ndarray, "3"
     """Whether none of the sweep's points in a camera's picture is much nearer than what it looks at."""
     if scene.points is None:
         return True
-    at = camera.project(scene.points.xyz)  # NaN behind it
-    with np.errstate(invalid="ignore"):
-        shown = ((at >= 0) & (at < [camera.width, camera.height])).all(1)
-    away = np.linalg.norm(scene.points.xyz[shown] - camera.centre, axis=1)
+    xyz = scene.points.xyz
+    away = np.linalg.norm(xyz[camera.in_picture(camera.project(xyz))] - camera.centre, axis=1)
     return bool((away >= BETWEEN * np.linalg.norm(target - camera.centre)).all())
 
 

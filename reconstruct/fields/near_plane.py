@@ -35,9 +35,7 @@ def near_plane(
         least: Of all cameras.
     """
     xyz = points.double().numpy()
-    at = camera.project(xyz)  # NaN behind it
-    with np.errstate(invalid="ignore"):
-        shown = ((at >= 0) & (at < [camera.width, camera.height])).all(1)
+    shown = camera.in_picture(camera.project(xyz))
     if shown.sum() < FEWEST:
         return least
     away = SHARE * float(np.linalg.norm(xyz[shown] - camera.centre, axis=1).min())

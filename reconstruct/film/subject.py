@@ -34,19 +34,12 @@ class Subject:
     Attributes:
         times: In [0, 1], rising [T].
         ways: Where they are then, in the box frame [T, N, 3].
-        off: How far they are from where they rest, mean over points [T].
-        speed: How far they go in a unit of time, mean over points [T].
+        telling: The time at which most of it is elsewhere and on its way.
     """
 
     times: Float[np.ndarray, " T"]
     ways: Float[np.ndarray, "T n 3"]
-    off: Float[np.ndarray, " T"]
-    speed: Float[np.ndarray, " T"]
-
-    @property
-    def telling(self) -> float:
-        """The time at which most of it is elsewhere and on its way."""
-        return float(self.times[int(np.argmax(self.off * self.speed))])
+    telling: float
 
 
 def subject_of(model: DynamicModel, cameras: Sequence[Camera]) -> Subject | None:
@@ -65,9 +58,9 @@ def subject_of(model: DynamicModel, cameras: Sequence[Camera]) -> Subject | None
     if not len(moves):
         return None
     moves = moves[:: -(-len(moves) // MOST_POINTS)]
-    ways = ways[:, moves]
-    speed = np.linalg.norm(np.gradient(ways, times, axis=0), axis=-1).mean(axis=1)
-    return Subject(times, ways, far[:, moves].mean(axis=1), speed)
+    speed = np.linalg.norm(np.gradient(ways[:, moves], times, axis=0), axis=-1).mean(axis=1)
+    telling = times[np.argmax(far[:, moves].mean(axis=1) * speed)]
+    return Subject(times, ways[:, moves], float(telling))
 
 
 def clear_orbit(
@@ -89,9 +82,7 @@ def clear_orbit(
     )
 
     def at(share: float, nearer: float) -> Camera:
-        azimuth = span.start + span.extent * share
-        elevation, distance = span.near(float(azimuth))
-        return span.looking(lens, span.place(float(azimuth), elevation, nearer * distance))
+        return span.between(lens, float(span.start + span.extent * share), nearer)
 
     def nearest_that_shows(share: float) -> float:
         shows = (nearer for nearer in NEARER if hidden(model, at(share, nearer), subject) < HIDDEN)

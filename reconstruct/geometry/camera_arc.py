@@ -70,6 +70,11 @@ class Span:
         flat = np.cos(azimuth) * self.east + np.sin(azimuth) * self.north
         return self.target + distance * (np.cos(elevation) * flat + np.sin(elevation) * self.up)
 
+    def between(self, lens: Camera, azimuth: float, nearer: float = 1.0) -> Camera:
+        """A camera at an azimuth as high and as far away as the cameras nearby, times `nearer`."""
+        elevation, distance = self.near(azimuth)
+        return self.looking(lens, self.place(azimuth, elevation, nearer * distance))
+
     def looking(self, lens: Camera, position: Float[np.ndarray, "3"]) -> Camera:
         """A camera that looks at the target, up being up in its picture."""
         return replace(lens, cam_from_world=look_at(position, self.target, self.up))

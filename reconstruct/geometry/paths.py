@@ -35,11 +35,7 @@ def orbit(
     """
     span = Span.of(cameras, aabb)
     share = _phase(count) if span.closed else MARGIN + (1 - 2 * MARGIN) * pendulum(count)
-    out = []
-    for azimuth in span.start + span.extent * share:
-        elevation, distance = span.near(float(azimuth))
-        out.append(span.looking(lens, span.place(float(azimuth), elevation, distance)))
-    return out
+    return [span.between(lens, azimuth) for azimuth in (span.start + span.extent * share).tolist()]
 
 
 def spiral(

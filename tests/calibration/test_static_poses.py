@@ -165,7 +165,7 @@ print(json.dumps(found))
 """
 
 
-HALVES = """
+MADE = """
 import json
 import devrf.calibration.sweep.sfm_worker as worker
 import numpy as np, pycolmap
@@ -174,11 +174,17 @@ options = pycolmap.SyntheticDatasetOptions()
 options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 24, 400
 options.camera_width, options.camera_height = 640, 480
 options.camera_model_id = pycolmap.CameraModelId.OPENCV
-options.camera_params = [800, 800, 320, 240, 0, 0, 0, 0]
+options.camera_params = PARAMS
 model = pycolmap.synthesize_dataset(options)
 noise = pycolmap.SyntheticNoiseOptions()
 noise.point2D_stddev = 0.4
 pycolmap.synthesize_noise(noise, model)
+"""
+
+
+HALVES = (
+    MADE.replace("PARAMS", "[800, 800, 320, 240, 0, 0, 0, 0]")
+    + """
 none = worker._zoomed(model, True)
 images = sorted((i for i in model.images.values()), key=lambda i: i.name)
 for image in images[10:]:
@@ -193,22 +199,12 @@ poor, weak = images[3].name, worker._without_weak(model)
 left = sorted(i.name for i in model.images.values() if i.has_pose)
 print(json.dumps([worker.LEAST_POINTS, none, found, images[10].name, weak, poor, len(left)]))
 """
+)
 
 
-CROPS = """
-import json
-import devrf.calibration.sweep.sfm_worker as worker
-import numpy as np, pycolmap
-pycolmap.set_random_seed(1)
-options = pycolmap.SyntheticDatasetOptions()
-options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 24, 400
-options.camera_width, options.camera_height = 640, 480
-options.camera_model_id = pycolmap.CameraModelId.OPENCV
-options.camera_params = [500, 500, 330, 236, -0.06, 0.01, 0, 0]
-model = pycolmap.synthesize_dataset(options)
-noise = pycolmap.SyntheticNoiseOptions()
-noise.point2D_stddev = 0.4
-pycolmap.synthesize_noise(noise, model)
+CROPS = (
+    MADE.replace("PARAMS", "[500, 500, 330, 236, -0.06, 0.01, 0, 0]")
+    + """
 found = []
 for shift_px in (0, 20):
     for n, image in enumerate(sorted(model.images.values(), key=lambda i: i.name)):
@@ -218,6 +214,7 @@ for shift_px in (0, 20):
     found.append(worker._crops(model))
 print(json.dumps(found))
 """
+)
 
 
 def test_principal_points_that_move_are_told_from_one_that_stays():

@@ -29,8 +29,6 @@ def test_the_ball_moves_and_is_followed() -> None:
     assert found is not None
     away = np.linalg.norm(found.ways - found.times[:, None, None] * [TRAVEL, 0, 0], axis=-1)
     assert len(away[0]) > 50 and np.abs(away - RADIUS).max() < 0.06
-    np.testing.assert_allclose(found.off, TRAVEL * found.times, atol=0.02)
-    np.testing.assert_allclose(found.speed, TRAVEL, rtol=0.05)
     assert found.telling == 1.0  # it never slows down
 
 
@@ -44,7 +42,7 @@ def test_what_stands_is_no_part_of_it() -> None:
 
 @pytest.mark.parametrize("front", [False, True])
 def test_things_in_between_hide_it(front: bool) -> None:
-    """A wall of surroundings, between the cameras and the box on one side; and the slab, before a near camera."""
+    """Surroundings that are solid all around the box."""
     model = moving_ball("shell")
     found = subject_of(model, ring([-40, 0, 40]))
     shell = model.rest.shell
@@ -60,7 +58,7 @@ def test_things_in_between_hide_it(front: bool) -> None:
 def test_the_slab_hides_the_ball_from_below_only_where_it_is_near() -> None:
     model = moving_parts()
     ball = np.array([[[0.4, 0.0, -0.25]]])
-    subject = Subject(np.array([0.5]), ball, np.ones(1), np.ones(1))
+    subject = Subject(np.array([0.5]), ball, 0.5)
     near, far = (look_at(np.array([0.4, 0.01, z]), 160, 120, (0.4, 0.0, -0.25)) for z in (-1.05, -2.5))
     assert hidden(model, near, subject) == 1.0 and hidden(model, far, subject) == 0.0
 

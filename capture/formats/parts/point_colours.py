@@ -25,7 +25,7 @@ def point_colours(points: SparsePoints, static: Sequence[PosedFrame]) -> UInt8[n
         camera = static[n].camera
         seen = points.obs_point[points.obs_frame == n]
         at = camera.project(points.xyz[seen])
-        inside = ((at >= 0) & (at < (camera.width, camera.height))).all(1)  # not of NaN: behind the camera
+        inside = camera.in_picture(at)
         columns, rows = at[inside].astype(int).T
         np.add.at(total, seen[inside], read_pixels(static[n].path)[rows, columns, :3])
         np.add.at(count, seen[inside], 1)

@@ -120,7 +120,7 @@ def run_case(
         InputError: The run folder cannot be used.
         DevrfError: The program or the machine failed, which says nothing about the damage.
     """
-    folder, last = _folder(out, axis, severity, seed), base.choice.last or LAST
+    folder, last = case_folder(out, axis, severity, seed), base.choice.last or LAST
     folder.mkdir(parents=True, exist_ok=True)
     config = base.config.model_copy(
         update={
@@ -198,18 +198,19 @@ def _scored(result: Result, run_dir: Path) -> Result:
 
 def is_made(out: Path, axis: str, severity: float, seed: int) -> bool:
     """Whether a case was run to its end already; it may have to be run again all the same."""
-    return (_folder(out, axis, severity, seed) / "run" / LAST / STAMP).is_file()
+    return (case_folder(out, axis, severity, seed) / "run" / LAST / STAMP).is_file()
 
 
-def _folder(out: Path, axis: str, severity: float, seed: int) -> Path:
+def case_folder(out: Path, axis: str, severity: float, seed: int) -> Path:
+    """Where a case is."""
     return out / f"{axis}-{severity:g}" / f"seed{seed}"
 
 
 def _undisturbed_run(out: Path, axis: str, seed: int) -> Path | None:
     """Run folder of the undisturbed case of a seed; for that case itself, another seed's, if there is one."""
     if axis != UNDISTURBED:
-        return _folder(out, UNDISTURBED, 0.0, seed) / "run"
-    own = _folder(out, axis, 0.0, seed)
+        return case_folder(out, UNDISTURBED, 0.0, seed) / "run"
+    own = case_folder(out, axis, 0.0, seed)
     return next((other / "run" for other in sorted(own.parent.glob("seed*")) if other != own), None)
 
 

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
@@ -67,7 +67,7 @@ def run_stability(
         InputError: It has no test camera that sees something move.
     """
     talk, capture, until = base.talk, base.config.capture, time.monotonic() + 60 * extent.minutes
-    severities, seeds = extent.severities, extent.seeds
+    seeds = extent.seeds
     needs = "bench stability needs a test camera of what moves (capture.test_cameras, or the data set's test split)"
     if capture is not None and not capture.test_names:
         raise InputError("test-camera-missing", f"{base.config.name}: no test camera is named; {needs}")
@@ -89,21 +89,13 @@ def run_stability(
             "only what stops the pipeline counts as a failure"
         )
     results: dict[str, list[Result]] = {}
-    left_out: dict[str, str] = {}
-    for name in names:
-        for severity in AXES[name].some(severities):
-            for seed in seeds:
-                if time.monotonic() >= until and not is_made(out, name, severity, seed):
-                    late = f"from {severity:g} on nothing was begun after {extent.minutes:g} minutes"
-                    left_out.setdefault(name, late)
-                    continue
-                try:
-                    result, _ = run_case(base, out, name, severity, seed, scenes[seed])
-                except DoesNotApply as reason:  # of its worst severity, if only from there on
-                    left_out[name] = f"does not apply: {reason}"
-                    break
-                _tell(talk, result)
-                results.setdefault(name, []).append(result)
+
+    def tried(name: str, severity: float, seed: int) -> None:
+        result, _ = run_case(base, out, name, severity, seed, scenes[seed])
+        _tell(talk, result)
+        results.setdefault(name, []).append(result)
+
+    left_out = each_case(names, extent, until, lambda *case: is_made(out, *case), tried)
     found = {name: points(cases, undisturbed) for name, cases in results.items()}
     rows = _rows(UNDISTURBED, undisturbed)
     for name, cases in results.items():
@@ -127,6 +119,36 @@ def run_stability(
     }
     title, bench = f"Stability, {base.config.name}", Bench(base, out, scenes[seeds[0]], {})
     return bench.publish(title, rows, json_path, seeds, chart, benchmark="stability", **more)
+
+
+def each_case(
+    names: Sequence[str],
+    extent: Extent,
+    until: float,
+    made: Callable[[str, float, int], bool],
+    tried: Callable[[str, float, int], None],
+) -> dict[str, str]:
+    """Try all cases: axis, severity, seed.
+
+    Args:
+        until: From this moment of the monotonic clock on only those that are made.
+    Returns:
+        Axis -> why it, or the rest of it, was not tried.
+    """
+    left_out: dict[str, str] = {}
+    for name in names:
+        for severity in AXES[name].some(extent.severities):
+            for seed in extent.seeds:
+                if time.monotonic() >= until and not made(name, severity, seed):
+                    late = f"from {severity:g} on nothing was begun after {extent.minutes:g} minutes"
+                    left_out.setdefault(name, late)
+                    continue
+                try:
+                    tried(name, severity, seed)
+                except DoesNotApply as reason:  # of its worst severity, if only from there on
+                    left_out[name] = f"does not apply: {reason}"
+                    break
+    return left_out
 
 
 def _tell(talk: Talk, result: Result) -> None:

@@ -67,14 +67,19 @@ class Bench:
         code = execute(ready)
         if code != DONE:
             raise typer.Exit(code)
-        scene = read_scene(ready.run_dir / "scene")
+        return Bench.of_run(ready, out)
+
+    @staticmethod
+    def of_run(run: Run, out: Path) -> "Bench":
+        """A run whose stages up to flow are made."""
+        scene = read_scene(run.run_dir / "scene")
         if not {"train", "test"} <= {f.split for f in scene.dynamic}:
             raise InputError(
                 "test-camera-missing",
-                f"{config.name}: a benchmark needs moving cameras to train on and one to test with "
+                f"{run.config.name}: a benchmark needs moving cameras to train on and one to test with "
                 "(capture.test_cameras, or the data set's test split)",
             )
-        return Bench(ready, out, scene, read_flows(ready.run_dir / "flow"))
+        return Bench(run, out, scene, read_flows(run.run_dir / "flow"))
 
     @cached_property
     def lpips(self) -> LpipsNets:
