@@ -56,6 +56,7 @@ def run(context: StageContext) -> None:
     metrics = recipe.evaluation(scene, render, lpips, context.out, context.progress, known)
     models = [path for stage in TRAINED for path in (context.run_dir / stage).glob("*.safetensors")]
     metrics |= {
+        "true_masks": sorted(masks),
         "confidence": subject_seen(scene, model),
         "train": training(context.run_dir),
         "model_mb": round(sum(path.stat().st_size for path in models) / 1e6, 3),

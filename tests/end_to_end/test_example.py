@@ -122,6 +122,11 @@ def test_motion_beats_standing_still(metrics: dict[str, Any], bounds: Bounds) ->
     assert gain >= bounds.motion_gain_db
 
 
+@ONLY_WHOLE
+def test_what_moves_is_known_from_the_truth(metrics: dict[str, Any]) -> None:
+    assert metrics["true_masks"] == ["witness"]
+
+
 def test_what_moves_is_tracked(whole_run: ExampleRun) -> None:
     assert read(whole_run.run_dir / "deformation" / "metrics.json").get("parts", 0) >= 1
 

@@ -114,6 +114,18 @@ def test_it_needs_nothing_from_outside_and_what_it_links_to_exists(full_run, ful
     assert "http" not in outside_data and "@import" not in html and not re.search(r"url\([^#]", html)
 
 
+@pytest.mark.parametrize("by_truth", [False, True])
+def test_it_says_which_pixels_move(full_run, tmp_path, by_truth):
+    run = shutil.copytree(full_run, tmp_path / "run")
+    file = run / "evaluate" / "metrics.json"
+    file.write_text(
+        json.dumps(json.loads(file.read_text()) | {"true_masks": ["witness"] if by_truth else []})
+    )
+    _, page = _page(run)
+    assert ("where something moves in truth" in page.text) == by_truth
+    assert ("where the true picture differs" in page.text) != by_truth
+
+
 def test_names_are_escaped(full_page):
     html, page = full_page
     assert "alert('x')" not in "".join(page.scripts)
