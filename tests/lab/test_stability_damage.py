@@ -230,6 +230,33 @@ def test_a_clock_that_drifts_is_right_at_its_first_frame(
     assert late_s == pytest.approx([0.0, 0.05, 0.1])  # two frames at the last
 
 
+def test_a_data_sets_clock_is_late_too(tmp_path: Path, odd_scene: Scene) -> None:
+    (tmp_path / "scene.yaml").write_text("name: set\ndataset: {format: devrf, path: set}\n")
+    intact = Intact(
+        load_scene(tmp_path / "scene.yaml", check_files=False), tmp_path, odd_scene, tmp_path, 2.0, 0
+    )
+    before = {f.index: f.time_s for f in odd_scene.dynamic if f.camera_name == "cam1"}
+
+    def late_s(done: Damage) -> dict[int, float]:
+        assert done.stage == "scene"
+        write_scene(tmp_path, odd_scene)
+        done.behind(_context(intact, tmp_path))
+        found = read_scene(tmp_path)
+        others = [[f for f in of.dynamic if f.camera_name != "cam1"] for of in (found, odd_scene)]
+        assert [(f.time_s, f.time) for f in others[0]] == [(f.time_s, f.time) for f in others[1]]
+        cam1 = [f for f in found.dynamic if f.camera_name == "cam1"]
+        for frame in cam1:
+            assert frame.time_s is not None and frame.time is not None and frame.time <= 1
+            assert frame.time == pytest.approx((frame.time_s - found.t0_s) / (found.t1_s - found.t0_s))
+        return {f.index: f.time_s - before[f.index] for f in cam1}
+
+    assert late_s(between.late_clock(intact)) == pytest.approx({0: 1.5, 1: 1.5})  # a frame takes 0.75 s
+    drifting = late_s(between.drifting_clock(_severe(intact, 1.0)))
+    assert (
+        list(drifting) == [0, 1, 2] and drifting[0] == pytest.approx(0.0) and drifting[2] > 1.9 * drifting[1]
+    )
+
+
 def test_flow_is_zeroed_and_made_noisy_only_where_it_is_trusted(intact: Intact, tmp_path: Path) -> None:
     flow = np.full((40, 50, 2), 3.0, np.float32)
     trusted = np.zeros((40, 50), np.uint8)

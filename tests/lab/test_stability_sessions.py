@@ -17,6 +17,8 @@ from devrf.lab.bench.stability.axes import AXES
 from devrf.lab.bench.stability.damage.intact import DoesNotApply, Intact
 from devrf.lab.bench.stability.small_session import Simulated, is_rendered, rendered
 from devrf.lab.bench.stability.small_session import session as of_the_suite
+from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
+from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.camera_rig import fixed_cameras
 from devrf.lab.simulate_command import session_code, simulate
@@ -213,3 +215,23 @@ def test_cameras_draw_together_only_where_the_witness_stays(
     np.testing.assert_array_equal(before[-1], after[-1])
     np.testing.assert_allclose(before[0], after[0], atol=1e-12)  # at the end to which the others draw
     assert np.linalg.norm(after[0] - after[-2]) < 0.5 * np.linalg.norm(before[0] - before[-2])
+
+
+def test_a_simulated_data_set_is_made_again_with_more_motion(odd_scene: Scene, tmp_path: Path) -> None:
+    few = DatasetOptions(
+        spp=4, motion_scale=0.5, static_views=3, static_test_views=1, times=2, test_views_per_time=1
+    )
+    simulate_dataset(tmp_path / "set", "robot", cameras=1, size=(16, 16), options=few)
+    config = load_scene(tmp_path / "set/scene.yaml")
+    (tmp_path / "case/seed0").mkdir(parents=True)
+    intact = Intact(config, tmp_path / "set", odd_scene, tmp_path / "case/seed0", 2.0, 0)
+    dataset = AXES["deformation"].damaging(intact).config.dataset
+    assert dataset is not None and dataset.path == str(tmp_path / "case/dataset")
+    made_by = json.loads((tmp_path / "case/dataset/made_by.json").read_text())
+    assert made_by["complete"] and made_by["options"]["motion_scale"] == 1.0
+
+    with refused("option-out-of-range", "motion_scale", kind=DoesNotApply):
+        AXES["deformation"].damaging(replace(intact, severity=4.0))
+    (tmp_path / "set/made_by.json").unlink()
+    with refused("session-not-simulated", kind=DoesNotApply):
+        AXES["deformation"].damaging(intact)

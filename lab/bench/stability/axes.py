@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from devrf.lab.bench.stability.damage import between, configuration, raw_files
 from devrf.lab.bench.stability.damage.intact import Damaging
-from devrf.lab.bench.stability.damage.simulated import again, narrower
+from devrf.lab.bench.stability.damage.simulated import again, larger, narrower
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 
 
@@ -34,10 +34,6 @@ class Axis:
         whole = len(self.severities)
         n = min(count or whole, whole)
         return tuple(self.severities[(k + 1) * whole // n - 1] for k in range(n))
-
-
-def _larger(was: SessionOptions, times: float) -> dict[str, float]:
-    return {"motion_scale": times * was.motion_scale}
 
 
 def _paler(was: SessionOptions, percent: float) -> dict[str, float]:
@@ -83,7 +79,7 @@ AXES = {
     "frame_rate": Axis("clocks", "frame rate of training cameras against the motion", "only every n-th",
                        (2.0, 3.0, 4.0, 6.0), raw_files.lower_frame_rate),
     "deformation": Axis("subject", "size of the deformation", "times the session's", (1.5, 2.0, 2.5, 3.0),
-                        again(_larger, sweep_stays=True), films_anew=True),
+                        larger, films_anew=True),
     "appearing": Axis("subject", "a ball that is not there at rest", "cm radius", (3.0, 7.0, 15.0, 30.0),
                       _change("appear", 20), films_anew=True),
     "parting": Axis("subject", "a block that splits", "cm that each half moves", (3.0, 7.0, 15.0, 30.0),

@@ -33,20 +33,15 @@ def wrong_focal_lengths(intact: Intact) -> Damage:
 
 def late_clock(intact: Intact) -> Damage:
     """The clock of the last training camera off by so many frames, and sure of itself."""
-
-    def late(clock: dict[str, float], times_s: np.ndarray) -> None:
-        clock["offset_s"] += intact.severity * float(np.median(np.diff(times_s)))
-
-    return _wrong_clock(intact, late)
+    return _wrong_clock(intact, lambda times_s: (intact.severity * _step(times_s), 0.0))
 
 
 def drifting_clock(intact: Intact) -> Damage:
     """The clock of the last training camera right at its first frame, and so many frames off at its last."""
 
-    def drift(clock: dict[str, float], times_s: np.ndarray) -> None:
-        too_fast = intact.severity * float(np.median(np.diff(times_s)) / np.ptp(times_s))
-        clock["drift_ppm"] += 1e6 * too_fast
-        clock["offset_s"] -= too_fast * float(times_s[0])
+    def drift(times_s: np.ndarray) -> tuple[float, float]:
+        too_fast = intact.severity * _step(times_s) / float(np.ptp(times_s))
+        return -too_fast * float(times_s[0]), too_fast
 
     return _wrong_clock(intact, drift)
 
@@ -102,20 +97,47 @@ def mattes_with_holes(intact: Intact) -> Damage:
     return behind_scene(intact, spoil)
 
 
-def _wrong_clock(intact: Intact, change: Callable[[dict[str, float], np.ndarray], None]) -> Damage:
-    """The last training camera's clock changed behind stage `sync`, given its frames' file times."""
-    if intact.capture is None:
-        raise DoesNotApply("clocks-missing", "a data set has times, and no clocks")
+def _step(times_s: np.ndarray) -> float:
+    """From one picture to the next."""
+    return float(np.median(np.diff(times_s)))
+
+
+def _wrong_clock(intact: Intact, error: Callable[[np.ndarray], tuple[float, float]]) -> Damage:
+    """The last training camera's clock changed: behind stage `sync` of a capture, behind stage `scene` of a data set.
+
+    Args:
+        intact: What is damaged.
+        error: Given the times of the camera's pictures: by how many seconds they become too late at time 0, and by how
+            many more a second. Of a data set what falls behind its last time is left out.
+    """
     name = intact.cameras[-1]
 
-    def spoil(context: StageContext) -> None:
+    def in_sync(context: StageContext) -> None:
         path = context.out / "sync.json"
         content = json.loads(path.read_text())
         frames = FrameSet.read(context.run_dir / "ingest").moving[name].used
-        change(content["cameras"][name], np.array([f.time_s for f in frames if f.time_s is not None]))
+        late_s, faster = error(np.array([f.time_s for f in frames if f.time_s is not None]))
+        clock = content["cameras"][name]
+        clock["offset_s"] += late_s
+        clock["drift_ppm"] += 1e6 * faster
         path.write_text(json.dumps(content, indent=1))
 
-    return Damage(intact.config, "sync", spoil)
+    def in_scene(scene: Scene) -> Scene:
+        of_camera = [f.time_s for f in scene.dynamic if f.camera_name == name and f.time_s is not None]
+        late_s, faster = error(np.unique(of_camera))
+        frames = []
+        for frame in scene.dynamic:
+            if frame.camera_name == name and frame.time_s is not None:
+                told_s = frame.time_s + late_s + faster * frame.time_s
+                if told_s > scene.t1_s:
+                    continue
+                frame = replace(frame, time_s=told_s, time=(told_s - scene.t0_s) / (scene.t1_s - scene.t0_s))
+            frames.append(frame)
+        return replace(scene, dynamic=tuple(frames))
+
+    return (
+        behind_scene(intact, in_scene) if intact.capture is None else Damage(intact.config, "sync", in_sync)
+    )
 
 
 def _wrong_flow(intact: Intact, share: float, change: Callable[[Flow, np.random.Generator], Flow]) -> Damage:

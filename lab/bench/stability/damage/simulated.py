@@ -1,9 +1,10 @@
-"""Damage to what is filmed, or to how: a simulated session made again with other options, in the axis' own folder.
+"""Damage to what is filmed, or to how: a simulated session or data set made again with other options, in a folder.
 
 It applies wherever a scene's truth says how it was simulated, and is made once for all seeds. Where only the fixed
 cameras see a difference, the sweep's clip is kept as it is, and the other way round.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,19 +15,20 @@ from pydantic import ValidationError
 from devrf.capture.system.errors import InputError
 from devrf.lab.bench.stability.damage.intact import Damage, Damaging, DoesNotApply, Intact, with_capture
 from devrf.lab.bench.stability.small_session import TRUTH, Simulated, is_rendered, rendered
+from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
+from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
+from devrf.lab.simulate.render.folder import MADE_BY
 from devrf.lab.simulate.render.mitsuba import load_mitsuba
 from devrf.lab.simulate.scenes.session_options import SessionOptions
 from devrf.lab.simulate.session.simulate_session import check_arguments
 from devrf.lab.simulate_command import session_code
 from devrf.pipelines.config.scene import SceneConfig
 
+Change = Callable[[SessionOptions, float], dict[str, Any]]
+
 
 def again(
-    change: Callable[[SessionOptions, float], dict[str, Any]],
-    scene: str | None = None,
-    *,
-    sweep_stays: bool = False,
-    cameras_stay: bool = False,
+    change: Change, scene: str | None = None, *, sweep_stays: bool = False, cameras_stay: bool = False
 ) -> Damaging:
     """A damage that simulates the session again.
 
@@ -57,6 +59,38 @@ def again(
         return Damage(_filmed_in(intact, folder))
 
     return damage
+
+
+def larger(intact: Intact) -> Damage:
+    """So many times the motion; of a simulated data set, too."""
+    dataset = intact.config.dataset
+    if dataset is None:
+        return _LARGER(intact)
+    path = intact.config.path(intact.scene_dir, dataset.path)
+    try:
+        made = json.loads((path / MADE_BY).read_text(encoding="utf-8"))
+        was = DatasetOptions.model_validate(made["options"])
+        if made["protocol"] != "devrf":
+            raise ValueError(made["protocol"])
+    except (OSError, KeyError, ValueError):
+        text = "it is no data set that `simulate --protocol devrf` made"
+        raise DoesNotApply("session-not-simulated", text) from None
+    folder = intact.folder.resolve().parent / "dataset"  # the same for all seeds
+    try:
+        options = DatasetOptions.model_validate(was.model_dump() | _scaled(was, intact.severity))
+    except ValidationError as error:
+        raise DoesNotApply("option-out-of-range", str(error)) from error
+    scene, size = made["scene"], tuple(made["size"])
+    simulate_dataset(folder, scene, cameras=made["cameras"], seed=made["seed"], size=size, options=options)
+    other = dataset.model_copy(update={"path": str(folder)})
+    return Damage(intact.config.model_copy(update={"dataset": other}))
+
+
+def _scaled(was: SessionOptions | DatasetOptions, times: float) -> dict[str, float]:
+    return {"motion_scale": times * was.motion_scale}
+
+
+_LARGER = again(_scaled, sweep_stays=True)
 
 
 def narrower(intact: Intact) -> Damage:
