@@ -10,10 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.pose import FARTHER, Estimate, Shots
+from devrf.reconstruct.tracking.rigid import motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose
 from devrf.reconstruct.tracking.surface import Surface
 from devrf.reconstruct.tracking.views.film import Picture, blurred, sampled
@@ -27,6 +29,7 @@ TRIED = 4  # of them, those with the best colours
 CONTRADICTED, SHOWN = -0.2, 0.25
 FEWEST_NODES = 5  # of a limb; fewer are skin at a joint
 MOST_POINTS = 300  # of a limb that are looked at
+NEAREST = 6  # nodes beside which a piece is put that hangs on nothing
 BLUR_PX = 2.0  # of the colours
 TELLING = 0.08  # difference between a point's colour and what stands behind that counts as one
 
@@ -75,9 +78,24 @@ class _Limb:
             out.append(Pose(rotations, shifts))
         return out
 
+    def beside(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
+        """The pose with the piece as at rest beside the nodes that are nearest to it there."""
+        graph, nodes = self.graph, self.nodes
+        known = np.flatnonzero(~lost)
+        away = np.asarray(KDTree(graph.nodes[nodes]).query(graph.nodes[known])[0])
+        near = known[np.argsort(away, kind="stable")[:NEAREST]]
+        (rotation,), (shift,) = motion_of(graph.nodes[near], (graph.nodes + pose.shifts)[None, near])
+        rotations, shifts = pose.rotations.copy(), pose.shifts.copy()
+        rotations[nodes] = rotation
+        shifts[nodes] = graph.nodes[nodes] @ rotation.T + shift - graph.nodes[nodes]
+        return Pose(rotations, shifts)
+
 
 def turn_limbs(shots: Shots, found: Estimate) -> None:
-    """Where pictures contradict a lost limb, change the estimate where they show it turned about its joint."""
+    """Where pictures contradict a lost limb, change the estimate where they show it turned about its joint.
+
+    A piece that hangs on nothing and flies off is put back beside what is near, if that place is contradicted less.
+    """
     graph, lost = shots.graph, found.lost
     limbs = [_Limb(graph, nodes) for nodes in graph.groups(lost) if len(nodes) >= FEWEST_NODES]
     if not limbs or lost.all():
@@ -85,12 +103,14 @@ def turn_limbs(shots: Shots, found: Estimate) -> None:
     surface, hidden = graph.posed(found.pose), graph.points_of(lost)
     views = [view_without(shot, surface, hidden) for shot in shots.all]
     for limb in limbs:
-        if limb.score(views, found.pose) >= CONTRADICTED:
+        now = limb.score(views, found.pose)
+        if now >= CONTRADICTED:
             continue
-        best = SHOWN
-        for turned in limb.turned(views, found.pose, lost):
-            fitted = shots.fit(turned, FARTHER, limb.points)
-            pose = found.pose.with_nodes(limb.nodes, fitted)
+        turned = limb.turned(views, found.pose, lost)
+        best = SHOWN if turned else now
+        guesses = (shots.fit(guess, FARTHER, limb.points) for guess in turned)
+        for guess in guesses if turned else [limb.beside(found.pose, lost)]:
+            pose = found.pose.with_nodes(limb.nodes, guess)
             if (shown := limb.score(views, pose)) > best:
                 best, found.pose = shown, pose
                 found.likeness[limb.nodes] = shots.likeness(pose)[limb.nodes]
