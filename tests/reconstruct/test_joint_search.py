@@ -121,19 +121,12 @@ def test_a_piece_that_hangs_on_nothing_is_put_back(arm: tuple[Graph, np.ndarray]
     whole, forearm = arm
     apart = whole.surface.xyz + np.where(forearm[:, None], [0.2, 0.0, 0.0], 0.0)
     graph = Graph(replace(whole.surface, xyz=apart))
-    shots, found = estimate(
-        graph, filmed(graph.surface, graph.surface.only(~forearm)), graph.nodes[:, 0] > 0.1
-    )
-    flown = found.pose.shifts + np.where(found.lost[:, None], [0.0, 0.3, 0.2], 0.0)
-    found.pose = Pose(found.pose.rotations, flown)
+    lost = graph.nodes[:, 0] > 0.1
+    shots, found = estimate(graph, filmed(graph.surface, graph.surface), lost)
+    found.pose.shifts[lost] += [0.0, 0.3, 0.2]  # flown off
     turn_limbs(shots, found)
-    stays = not found.jumped.any() and np.array_equal(found.pose.shifts, flown)
-    back = np.array_equal(found.jumped, found.lost) and np.allclose(found.pose.shifts, 0, atol=1e-6)
-    views = [view_without(shot, graph.posed(found.pose), forearm) for shot in shots.all]
-    there = np.stack([graph.points(Pose(found.pose.rotations, flown))[forearm], graph.surface.xyz[forearm]])
-    normals = np.stack([graph.surface.normals[forearm]] * 2)
-    away, beside = score(views, there, normals, graph.surface.rgb[forearm].astype(np.float32))
-    assert back if beside > away else stays  # the less contradicted place
+    assert np.array_equal(found.jumped, lost)
+    assert np.allclose(found.pose.shifts, 0, atol=1e-6)
 
 
 def test_scores_tell_a_limb_from_what_stands(arm: tuple[Graph, np.ndarray]) -> None:
