@@ -86,6 +86,8 @@ def test_no_screen_is_named(passing: Passing, tmp_path: Path) -> None:
     clip = clip_of(grey[:3], tmp_path)
     with refused("key-colour-unfound", "'cam0'", "15 %", "colour: ", kind=HealthError):
         find_key("cam0", clip.files)
+    named = chroma_mattes(clip, parse_colour("#00b140"), tmp_path / "out")  # what is proposed
+    assert named.key_rgb == (0, 177, 64) and not named.doubtful_key
 
 
 @pytest.mark.parametrize(
