@@ -397,8 +397,9 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_exports_with_what_is_proposed(
     trained: Path, tmp_path: Path, code: str, wrong: dict, mend: dict
 ) -> None:
-    def made(format: str, **options: Any) -> None:
-        export(Talk("quiet"), trained, Options(format, tmp_path / "out", **({"times": "1"} | options)))
+    def made(**options: Any) -> None:
+        asked: dict[str, Any] = {"times": "1", "out": tmp_path / "out"} | options
+        export(Talk("quiet"), trained, Options(**asked))
 
     gone(code, made, wrong, mend)
 
@@ -505,11 +506,13 @@ def test_init_with_force(tmp_path: Path, odd_scene: WholeScene, devrf: Command) 
     assert devrf("init", tmp_path / "set", "--force").code == 0
 
 
-def rewrapped(source: Path, target: Path, rate: int | None = None, **tags: str) -> None:
+def rewrapped(
+    source: Path, target: Path, rate: int | None = None, tags: dict[str, str] | None = None
+) -> None:
     """Another container, without coding anew; `rate`: pictures a second, where the source has no times."""
     options = {"movflags": "use_metadata_tags"}
     with av.open(str(source)) as clip, av.open(str(target), "w", options=options) as out:
-        out.metadata.update(tags)
+        out.metadata.update(tags or {})
         stream = out.add_stream_from_template(clip.streams.video[0])
         for n, packet in enumerate(packet for packet in clip.demux(video=0) if packet.size):
             packet.stream = stream
@@ -522,7 +525,7 @@ def rewrapped(source: Path, target: Path, rate: int | None = None, **tags: str) 
 def test_a_clip_in_slow_motion_is_given_its_times(session: Path, devrf: Command) -> None:
     folder = session.parent
     (folder / "cam1.mp4").rename(folder / "plain.mp4")
-    rewrapped(folder / "plain.mp4", folder / "cam1.mp4", **{"com.android.capture.fps": "240"})
+    rewrapped(folder / "plain.mp4", folder / "cam1.mp4", tags={"com.android.capture.fps": "240"})
     wrong = devrf("run", session, "--until", "ingest")
     assert wrong.code == 2 and "or give capture.timestamps" in wrong.err
     scene = yaml.safe_load(session.read_text())
@@ -566,7 +569,7 @@ def test_simulations_that_can_be(tmp_path: Path, code: str, wrong: dict, mend: d
             simulate_session(tmp_path, size=(64, 40), **asked)
 
 
-@dataclass(frozen=True)
+@dataclass
 class AsIf:
     """A method that is only asked what it can do."""
 
