@@ -231,3 +231,25 @@ def test_a_wide_function_and_a_large_class_are_found() -> None:
     methods = "".join(f"\n    def m{n}(self): ..." for n in range(MOST_METHODS + 1))
     tree = ast.parse(f"def f({seven}): ...\ndef g(self, a, *, b): ...\nclass C:{methods}")
     assert wide_functions(tree) == ["f"] and large_classes(tree) == ["C"]
+
+
+def public_classes(trees: dict[str, ast.AST]) -> dict[str, list[str]]:
+    """Names of classes without a leading underscore -> where they are defined."""
+    found: dict[str, list[str]] = {}
+    for where, tree in trees.items():
+        for node in definitions(tree):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found.setdefault(node.name, []).append(where)
+    return found
+
+
+def test_the_name_of_a_class_has_one_meaning() -> None:
+    paths = [path for room in (*ORDER, "src") for path in (REPOSITORY / room).rglob("*.py")]
+    trees = {str(path.relative_to(REPOSITORY)): ast.parse(path.read_text()) for path in paths}
+    assert {name: where for name, where in public_classes(trees).items() if len(where) > 1} == {}
+
+
+def test_a_second_class_of_a_name_is_found() -> None:
+    sources = {"a": "class C: ...\nclass _D: ...", "b": "def f():\n    class C: ...\nclass _D: ..."}
+    trees: dict[str, ast.AST] = {where: ast.parse(source) for where, source in sources.items()}
+    assert public_classes(trees) == {"C": ["a", "b"]}

@@ -27,7 +27,7 @@ from devrf.calibration.boards.board_fit import (
     residual,
     start_fit,
 )
-from devrf.calibration.boards.coverage import Evidence, gather_evidence
+from devrf.calibration.boards.coverage import BoardCoverage, gather_evidence
 from devrf.calibration.boards.detect import misfit, misread
 from devrf.calibration.boards.spec import BoardSpec, BoardView
 from devrf.calibration.intrinsics import PARAMETERS, Intrinsics, guess
@@ -131,7 +131,7 @@ class BoardCalibration:
     bow_mm: tuple[float, float]
     bow_std_mm: tuple[float, float]
     held_out_rms_px: float | None
-    evidence: Evidence
+    evidence: BoardCoverage
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; see docs/formats.md."""

@@ -6,7 +6,7 @@ from devrf.capture.formats.geometry.ply import write_splat_ply
 from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, part
 from devrf.pipelines.export.request import Request
-from devrf.pipelines.export.trained import AXES, Trained, entry_of
+from devrf.pipelines.export.trained import AXES, ExportedModel, entry_of
 
 if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.splats.make import Splats
@@ -20,7 +20,7 @@ LAST = 0.05  # of the progress: writing
 def write(request: Request) -> None:
     """Write `splat_0000.ply` and so on, one per time; the same Gaussians in the same order."""
     count = asked(request)
-    trained = Trained(request, TIMES)
+    trained = ExportedModel(request, TIMES)
     import torch
 
     from devrf.reconstruct.splats.gaussians import transformed
@@ -71,7 +71,7 @@ def asked(request: Request) -> int:
     return count
 
 
-def made(trained: Trained, count: int, progress: Progress) -> "Splats":
+def made(trained: ExportedModel, count: int, progress: Progress) -> "Splats":
     """Splats of the model at the times that were asked for."""
     from devrf.reconstruct.splats.make import make_splats
 

@@ -25,7 +25,7 @@ from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
 from devrf.lab.simulate.protocol.simulate_dataset import Made, check_arguments, lens, scene_yaml
-from devrf.lab.simulate.render.filmed import Film
+from devrf.lab.simulate.render.filmed import MomentCache
 from devrf.lab.simulate.render.folder import OutputFolder
 from devrf.lab.simulate.render.studio import Studio
 from devrf.lab.simulate.scenes.catalogue import Paint, picture_on_quad, texture
@@ -89,8 +89,8 @@ def simulate_forward(
     times = np.linspace(0, 1, options.times)
     model = _facing(scene, seed, options)
     studio = Studio(options.spp)
-    film = Film(studio, (*model, _wall(seed)), times)
-    alone = Film(studio, model, times)  # for the matte
+    film = MomentCache(studio, (*model, _wall(seed)), times)
+    alone = MomentCache(studio, model, times)  # for the matte
     folder.begin()
     places = np.array([*PLACES[:cameras], TEST_PLACE])
     fixed = [_camera(size, options, place, np.zeros(2)) for place in places]

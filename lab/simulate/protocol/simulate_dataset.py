@@ -25,7 +25,7 @@ from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
-from devrf.lab.simulate.render.filmed import Film
+from devrf.lab.simulate.render.filmed import MomentCache
 from devrf.lab.simulate.render.folder import OutputFolder
 from devrf.lab.simulate.render.studio import Studio
 from devrf.lab.simulate.scenes.models import MODELS
@@ -87,7 +87,7 @@ def simulate_dataset(
         return Made(path, 0)
     times = np.linspace(0, 1, options.times)
     model = MODELS[scene].build(np.random.default_rng([seed, 0]), options.motion_scale)
-    film = Film(Studio(options.spp), model, times)
+    film = MomentCache(Studio(options.spp), model, times)
     folder.begin()
     dynamic = f"dynamic_{cameras}views"
     fixed = [_fixed_camera(seed, i, size) for i in range(cameras)]

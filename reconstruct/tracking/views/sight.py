@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.surface import SurfacePoints
+from devrf.reconstruct.tracking.views.film import CameraFilm
 
 BEHIND = 0.03  # box units: what stands hides what is farther behind it than this
 SLACK = 0.05  # box units: points this little behind the one that is drawn are seen, too
@@ -20,7 +20,7 @@ class Sight:
         seen: Whether a point is seen [n].
     """
 
-    def __init__(self, film: Film, surface: Surface) -> None:
+    def __init__(self, film: CameraFilm, surface: SurfacePoints) -> None:
         camera, xyz = film.camera, surface.xyz
         self.at = camera.project(xyz)
         z = (xyz @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3])[:, 2]
@@ -36,7 +36,7 @@ class Sight:
         self.pixel = pixel
 
 
-def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+def _drawn(film: CameraFilm, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """The point at each pixel, -1 where there is none or what stands hides it, and its depth."""
     camera = film.camera
     width, height = camera.width, camera.height
