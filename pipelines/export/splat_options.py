@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from devrf.capture.formats.geometry.ply import write_splat_ply
+from devrf.capture.formats.geometry.ply import GaussianVertices, write_splat_ply
 from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, part
 from devrf.pipelines.export.request import Request
@@ -32,15 +32,14 @@ def write(request: Request) -> None:
         for n, moment in enumerate(trained.moments):
             world, path = transformed(fitted.at(n).to("cpu"), matrix), new / f"splat_{n:04d}.ply"
             xyz = world.places.numpy()
-            write_splat_ply(
-                path,
+            vertices = GaussianVertices(
                 xyz,
                 world.colours.numpy(),
                 world.logits.numpy(),
                 world.log_scales.numpy(),
                 world.quats.numpy(),
-                trained.comments("splats", moment),
             )
+            write_splat_ply(path, vertices, trained.comments("splats", moment))
             entries.append(entry_of(path, moment, xyz))
             progress(1 - LAST + LAST * (n + 1) / len(trained.moments), f"{n + 1} files written")
         trained.describe(

@@ -25,7 +25,7 @@ from tests.make.scenes import scene_of
 from tests.reconstruct.conftest import around, look_at
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.geometry.ply import write_splat_ply
+from devrf.capture.formats.geometry.ply import GaussianVertices, write_splat_ply
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.kernels.splat import FAINT, splat, splat_ref
 from devrf.reconstruct.rendering.model import DynamicModel, render_view
@@ -313,8 +313,8 @@ def test_the_longest_way_there_and_back_fits() -> None:
 def test_a_splat_file_opens_in_plyfile(tmp_path: Path) -> None:
     plyfile = pytest.importorskip("plyfile")
     g, path = some(7), tmp_path / "s.ply"
-    xyz, rgb, logits = g.places.numpy(), g.colours.numpy(), g.logits.numpy()
-    write_splat_ply(path, xyz, rgb, logits, g.log_scales.numpy(), g.quats.numpy(), ["unit: metres"])
+    arrays = [x.numpy() for x in (g.places, g.colours, g.logits, g.log_scales, g.quats)]
+    write_splat_ply(path, GaussianVertices(*arrays), ["unit: metres"])
     vertex = plyfile.PlyData.read(str(path))["vertex"]
     names = [p.name for p in vertex.properties]
     assert names[:6] == ["x", "y", "z", "nx", "ny", "nz"] and names[-4:] == [f"rot_{k}" for k in range(4)]
