@@ -9,6 +9,7 @@ so. Cameras that see the same side of the subject are compared by tracks of comm
 
 import itertools
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,7 @@ from jaxtyping import Float
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
 from devrf.calibration.clocks.epipolar_tracks import TrackFinder, track_delay
 from devrf.calibration.clocks.equations import Clock, ClockSolution, Equation, Loop, consistent, loops, solve
+from devrf.capture.system.cores import usable_cores
 from devrf.capture.system.progress import Progress, no_progress
 
 COARSE_MOMENTS, FINE_MOMENTS = 6, 12  # of the wide and the narrow search for common points
@@ -109,7 +111,7 @@ def check_clocks(
     Args:
         views: Camera -> camera and pictures, whose times are those of the clocks to be checked.
         clocks: The clocks, for how sure they are.
-        progress: Called after each pair.
+        progress: Called after each pair; pairs are compared side by side.
         known: Cameras whose clocks stand: the others are compared with these, and these not with each other.
         loop_s: Largest contradiction between the pairs that gave the clocks; None: there was none to be seen.
     """
@@ -157,16 +159,24 @@ def _compared(
     stand = [n for n in names if n in known] or _first_of_groups(names, combinations)
     firm = [Equation(stand[0], n, 0.0, 0.0, LEAST_STD_S, "geometry", 1.0) for n in stand[1:]]
     planes, pairs = {}, {}
-    for i, (a, b) in enumerate(combinations):
-        progress(0.5 * i / len(combinations), f"geometry of {a} and {b}")
-        planes[a, b] = work.planes(a, b)
-        unsure_s = float(np.hypot(clocks[a].std_s, clocks[b].std_s))
-        pairs[a, b] = _better(work.wide_search(a, b, planes[a, b], unsure_s), planes[a, b])
-    found = _solve(spans, pairs, firm)[0].offset_s
-    for i, (a, b) in enumerate(combinations):
-        progress(0.5 + 0.5 * i / len(combinations), f"geometry of {a} and {b}")
-        if a in found and b in found and (tracks := work.narrow_search(a, b, found)):
-            pairs[a, b] = _better(tracks, planes[a, b])
+
+    def widely(pair: tuple[str, str]) -> tuple[PairCheck | None, PairCheck | None]:
+        by_planes = work.planes(*pair)
+        unsure_s = float(np.hypot(clocks[pair[0]].std_s, clocks[pair[1]].std_s))
+        return by_planes, work.wide_search(*pair, by_planes, unsure_s)
+
+    with ThreadPoolExecutor(usable_cores()) as pool:  # following points lets other threads run
+        for i, (pair, of_pair) in enumerate(zip(combinations, pool.map(widely, combinations), strict=True)):
+            progress(0.5 * (i + 1) / len(combinations), "geometry of {} and {}".format(*pair))
+            planes[pair] = of_pair[0]
+            pairs[pair] = _better(of_pair[1], of_pair[0])
+        found = _solve(spans, pairs, firm)[0].offset_s
+        reached = [(a, b) for a, b in combinations if a in found and b in found]
+        narrowly = pool.map(lambda pair: work.narrow_search(pair[0], pair[1], found), reached)
+        for i, (pair, tracks) in enumerate(zip(reached, narrowly, strict=True)):
+            progress(0.5 + 0.5 * (i + 1) / len(reached), "geometry of {} and {}".format(*pair))
+            if tracks is not None:
+                pairs[pair] = _better(tracks, planes[pair])
     solution, kept, dropped = _solve(spans, pairs, firm)
     notes = [
         f"{a} and {b}: not observable, nothing moves in both across epipolar lines"
@@ -250,7 +260,8 @@ class _Work:
 
     def __init__(self, views: Mapping[str, TimedPictures]) -> None:
         self.finders = {name: TrackFinder(view) for name, view in views.items()}
-        self.flows = {name: clip_flow(view) for name, view in views.items()}
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            self.flows = dict(zip(views, pool.map(clip_flow, views.values()), strict=True))
         self._speeds = {n: np.abs(flow.flow).mean(axis=(1, 2, 3)) for n, flow in self.flows.items()}
         self._from_s = max(float(v.time_s[0]) for v in views.values())
         self._to_s = min(float(v.time_s[-1]) for v in views.values())
