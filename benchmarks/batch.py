@@ -20,7 +20,7 @@ from tests.pipelines.tiny_scenes import tiny_scene
 
 from devrf.lab.bench.bench_rows import Row
 from devrf.pipelines.batch.ray_cluster import LOOPBACK_ONLY, SILENT
-from devrf.pipelines.batch.scenes import Options, look, stand
+from devrf.pipelines.batch.scenes import BatchOptions, look, stand
 
 GOAL = 0.9  # of the local pool's throughput
 TASKS = 400  # empty ones; Ray has started its workers after the first fifty
@@ -91,7 +91,7 @@ def _look_s(folder: Path) -> float:
 
 
 def _stand(paths: list[Path]) -> None:
-    for scene in look(paths, Options()):
+    for scene in look(paths, BatchOptions()):
         stand(scene)
         if not scene.stages or scene.to_do:
             raise SystemExit(f"{scene.path}: {', '.join(scene.to_do)} would be made again")

@@ -33,7 +33,7 @@ from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.sampling.retimed import as_trained
 from devrf.reconstruct.storage.model_io import FILE, load_rest
 from devrf.reconstruct.tracking.find import at_rest, parts_of
-from devrf.reconstruct.tracking.follow import Tracks, moments
+from devrf.reconstruct.tracking.follow import SurfaceTracks, moments
 from devrf.reconstruct.tracking.rigid import motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.views.film import films
@@ -64,7 +64,7 @@ def ceiling(scene_yaml: Path, run: Path) -> list[Row]:
     points = true_points(scene, truth_file, np.append(boxed.rest_time, times), late_s)
     moves, xyz = carried(surface.xyz, surface.spacing, points)
     never = np.zeros(xyz.shape[:2], dtype=bool)
-    tracks = Tracks(times, xyz.astype(np.float32), never, np.zeros(len(clips)))
+    tracks = SurfaceTracks(times, xyz.astype(np.float32), never, np.zeros(len(clips)))
     found = parts_of(boxed, rest, seen, moves, Graph(surface.only(moves)), tracks)
     assert found is not None
     options = training_options(config, scene).motion

@@ -141,18 +141,18 @@ class CameraFrames:
         """What its pictures are, in words, where no lens makes such (`projection.py`)."""
         return next((str(f.value) for f in self.faults if f.code == "coding" and f.found == "fail"), None)
 
-    def filmed(self, folder: Path) -> "list[Filmed]":
+    def filmed(self, folder: Path) -> "list[PictureFile]":
         """The pictures of the frames that are used, where they were kept and their time is known.
 
         Args:
             folder: That of ingest.
         """
         kept = [(f.index, f.file, f.time_s) for f in self.used]
-        return [Filmed(n, folder / file, t) for n, file, t in kept if file is not None and t is not None]
+        return [PictureFile(n, folder / file, t) for n, file, t in kept if file is not None and t is not None]
 
 
 @dataclass(frozen=True)
-class Filmed:
+class PictureFile:
     """A picture on disk: its frame's position in the clip, its file and its file time, seconds."""
 
     index: int
@@ -288,7 +288,7 @@ def sharp(values: Sequence[float]) -> Bool[np.ndarray, " n"]:
 
 
 @dataclass(frozen=True)
-class Timing:
+class ClipTiming:
     """What a clip's timestamps tell: mean rate, whether it varies, frames dropped, and notes in words."""
 
     fps_mean: float | None
@@ -297,10 +297,10 @@ class Timing:
     notes: tuple[str, ...]
 
 
-def timing(time_s: Float[np.ndarray, " n"]) -> Timing:
+def timing(time_s: Float[np.ndarray, " n"]) -> ClipTiming:
     """Look at increasing frame times [n], seconds."""
     if len(time_s) < 2:
-        return Timing(None, False, 0, ())
+        return ClipTiming(None, False, 0, ())
     steps = np.diff(time_s)
     usual = float(np.median(steps))
     tolerance = max(VARIABLE_STEP * usual, VARIABLE_STEP_S)
@@ -319,4 +319,4 @@ def timing(time_s: Float[np.ndarray, " n"]) -> Timing:
         where = some([f"{time_s[i]:.2f} s" for i in gaps])
         notes.append(f"{missing} frames missing in {len(gaps)} gaps, after {where}; the gaps are kept")
     fps_mean = float((len(time_s) - 1) / (time_s[-1] - time_s[0]))
-    return Timing(fps_mean, variable, missing, tuple(notes))
+    return ClipTiming(fps_mean, variable, missing, tuple(notes))

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from devrf.flow.pair import Find, Found, Picture
+from devrf.flow.pair import Find, PairFlow, Picture
 
 METHOD = "given"  # in flow.json
 
@@ -18,8 +18,8 @@ METHOD = "given"  # in flow.json
 def given(load_flow: Callable[[int], tuple[Float32[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]]) -> Find:
     """Flow of files: `load_flow(n)` gives the n-th frame's vectors, and where they can be trusted."""
 
-    def find(n: int, current: Picture, previous: Picture) -> Found:
+    def find(n: int, current: Picture, previous: Picture) -> PairFlow:
         flow, trusted = load_flow(n)
-        return Found(flow, None, trusted)
+        return PairFlow(flow, None, trusted)
 
     return find

@@ -25,7 +25,7 @@ CORNERS, CORNER_TEXTURED = 4, 0.2  # a quarter of each side; share of a corner t
 
 
 @dataclass(frozen=True)
-class Found:
+class PairFlow:
     """Flow of a pair, at any size of its picture.
 
     Attributes:
@@ -39,13 +39,13 @@ class Found:
     valid: Bool[np.ndarray, "h w"]
 
 
-Find = Callable[[int, Picture, Picture], Found]
+Find = Callable[[int, Picture, Picture], PairFlow]
 """`find(n, current, previous)`: flow of the n-th frame to the one before."""
 
 
 def estimated(estimator: FlowEstimator) -> Find:
     """Flow of a method."""
-    return lambda n, current, previous: Found(*both_ways(estimator, current, previous))
+    return lambda n, current, previous: PairFlow(*both_ways(estimator, current, previous))
 
 
 def measured(

@@ -4,23 +4,23 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 from pydantic import BaseModel, ValidationError
 
 from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import Progress
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
 from devrf.lab.simulate.protocol.forward import simulate_forward
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 from devrf.lab.simulate.scenes.objects import OBJECTS
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Options, Simulation
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.pipelines.config.words import suggestion
 from devrf.pipelines.stamps.code_version import code_version
 from devrf.pipelines.terminal.console import Talk
-
-Options = TypeVar("Options", bound=BaseModel)
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ def session_code() -> str:
     return code_version(*(f"lab/simulate/{part}" for part in ("render", "scenes", "session")))
 
 
-def _session(out: Path, scene: str, **arguments: Any) -> Path:
-    return simulate_session(out, scene, **arguments, code=session_code())
+def _session(out: Path, simulation: Simulation[SessionOptions], *, progress: Progress) -> Path:
+    return simulate_session(out, simulation, code=session_code(), progress=progress)
 
 
 PROTOCOLS = {
@@ -89,17 +89,13 @@ def simulate(
         options = options_from(chosen.options, [*(kind.usual if kind else ()), *settings])
     except InputError as error:
         mistakes.append(str(error))
-    if mistakes or match is None:
+    if mistakes or match is None or options is None:
         raise InputError("option-malformed", "\n".join(mistakes))
     with talk.progress("simulate") as progress:
+        count = chosen.cameras if cameras is None else cameras
+        pixels = int(match[1]), int(match[2])
         made = chosen.render(
-            out,
-            scene or chosen.scene,
-            cameras=chosen.cameras if cameras is None else cameras,
-            seed=seed,
-            size=(int(match[1]), int(match[2])),
-            options=options,
-            progress=progress,
+            out, Simulation(scene or chosen.scene, count, seed, pixels, options), progress=progress
         )
     if protocol == "session":
         talk.say(f"{made}: a session with known truth; run it with: devrf-pipeline run {made}")

@@ -148,7 +148,7 @@ class MotionOptions:
 
 
 @dataclass(frozen=True)
-class Options:
+class TrainingOptions:
     """Both stages."""
 
     canonical: CanonicalOptions
@@ -179,8 +179,8 @@ QUICK_MOTION: dict[str, Any] = {
 }
 """What `tiny` and `fast` have in common: few iterations, so large steps, and samples only where they count."""
 
-PRESETS: dict[str, Options] = {
-    "tiny": Options(
+PRESETS: dict[str, TrainingOptions] = {
+    "tiny": TrainingOptions(
         CanonicalOptions(
             resolution=112,
             iterations=600,
@@ -203,7 +203,7 @@ PRESETS: dict[str, Options] = {
             **QUICK_MOTION,
         ),
     ),
-    "fast": Options(
+    "fast": TrainingOptions(
         CanonicalOptions(
             resolution=160,
             iterations=700,
@@ -224,7 +224,7 @@ PRESETS: dict[str, Options] = {
             **QUICK_MOTION,
         ),
     ),
-    "reference": Options(
+    "reference": TrainingOptions(
         CanonicalOptions(
             resolution=160,
             iterations=20000,
@@ -313,7 +313,7 @@ class Overrides:
     seed: int = 0
 
 
-def preset(name: str, given: Overrides | None = None, *, forward: bool = False) -> Options:
+def preset(name: str, given: Overrides | None = None, *, forward: bool = False) -> TrainingOptions:
     """A preset with single numbers replaced.
 
     Args:
@@ -366,4 +366,4 @@ def preset(name: str, given: Overrides | None = None, *, forward: bool = False) 
             together=round(ratio * motion.together),
         )
     seed = given.seed
-    return Options(replace(canonical, seed=seed), replace(motion, keys=given.key_times, seed=seed))
+    return TrainingOptions(replace(canonical, seed=seed), replace(motion, keys=given.key_times, seed=seed))

@@ -53,10 +53,12 @@ from devrf.capture.formats.parts.scene_files import OWN_KEY
 from devrf.capture.scene import Scene as WholeScene
 from devrf.lab.bench.training import methods
 from devrf.lab.methods.protocol import Method, MethodTask, TimeBudget, TrainedModel
+from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.pipelines.budget import memory
 from devrf.pipelines.export.export_command import export
-from devrf.pipelines.export.request import Options
+from devrf.pipelines.export.request import ExportOptions
 from devrf.pipelines.run_folder.lock import Lock
 from devrf.pipelines.terminal.console import Talk
 from devrf.pipelines.viewer.command import _check_free
@@ -399,7 +401,7 @@ def test_exports_with_what_is_proposed(
 ) -> None:
     def made(**options: Any) -> None:
         asked: dict[str, Any] = {"times": "1", "out": tmp_path / "out"} | options
-        export(Talk("quiet"), trained, Options(**asked))
+        export(Talk("quiet"), trained, ExportOptions(**asked))
 
     gone(code, made, wrong, mend)
 
@@ -410,7 +412,7 @@ def test_a_surface_at_another_level(tmp_path: Path) -> None:
     thin = moving_ball()
     thin.rest.canonical.density.clamp_(max=-1.0 - thin.rest.canonical.shift)
     run = write_trained(tmp_path / "thin", model=thin).parent / "run"
-    asked = Options("glb", tmp_path / "out", times="1")
+    asked = ExportOptions("glb", tmp_path / "out", times="1")
     gone(
         "model-without-surface",
         lambda level: export(Talk("quiet"), run, replace(asked, level=level)),
@@ -422,7 +424,7 @@ def test_a_surface_at_another_level(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_an_extra_that_is_there(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("skimage")
-    asked = Options("glb", tmp_path / "out", times="1")
+    asked = ExportOptions("glb", tmp_path / "out", times="1")
     with monkeypatch.context() as without, refused("package-missing", "devrf[export]"):
         without.setitem(sys.modules, "skimage", None)
         export(Talk("quiet"), trained, asked)
@@ -555,18 +557,15 @@ def test_a_raw_stream_is_put_into_a_container(session: Path, devrf: Command) -> 
 
 
 @pytest.mark.parametrize(
-    ("code", "wrong", "mend"),
-    [
-        ("scene-unknown", {"scene": "flagg"}, {"scene": "sheet"}),
-        ("options-contradict", {"scene": "column", "options": CUT}, {"scene": "sheet", "options": CUT}),
-    ],
+    ("code", "wrong", "options"),
+    [("scene-unknown", "flagg", SessionOptions()), ("options-contradict", "column", CUT)],
 )
-def test_simulations_that_can_be(tmp_path: Path, code: str, wrong: dict, mend: dict) -> None:
+def test_simulations_that_can_be(tmp_path: Path, code: str, wrong: str, options: SessionOptions) -> None:
     """What is asked for can be, as far as the folder is looked at, which is not empty."""
     (tmp_path / "mine").write_text("")
-    for asked, refusal in ((wrong, code), (mend, "folder-exists")):
+    for scene, refusal in ((wrong, code), ("sheet", "folder-exists")):
         with refused(refusal):
-            simulate_session(tmp_path, size=(64, 40), **asked)
+            simulate_session(tmp_path, Simulation(scene, 4, 0, (64, 40), options))
 
 
 @dataclass

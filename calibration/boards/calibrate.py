@@ -27,7 +27,7 @@ from devrf.calibration.boards.board_fit import (
     residual,
     start_fit,
 )
-from devrf.calibration.boards.coverage import Evidence, gather_evidence
+from devrf.calibration.boards.coverage import BoardCoverage, gather_evidence
 from devrf.calibration.boards.detect import misfit, misread
 from devrf.calibration.boards.spec import BoardSpec, BoardView
 from devrf.calibration.intrinsics import PARAMETERS, Intrinsics, guess
@@ -131,7 +131,7 @@ class BoardCalibration:
     bow_mm: tuple[float, float]
     bow_std_mm: tuple[float, float]
     held_out_rms_px: float | None
-    evidence: Evidence
+    evidence: BoardCoverage
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; see docs/formats.md."""
@@ -158,8 +158,7 @@ def calibrate_intrinsics(
     views: list[BoardView],
     spec: BoardSpec,
     size: tuple[int, int],
-    lens: LensChoice = "auto",
-    terms: Terms | None = None,
+    lens: LensChoice | Terms = "auto",
     pixel_aspect: float = 1.0,
 ) -> BoardCalibration:
     """Calibrate one camera.
@@ -169,8 +168,8 @@ def calibrate_intrinsics(
         views: Of the board.
         spec: The settled board.
         size: Picture (width, height), pixels.
-        lens: Which lens model; auto takes what fits better, a fisheye only where the view is wide.
-        terms: What of the lens to fit, instead of what the views support.
+        lens: Which lens model, of which the terms that the views support are fitted, or exactly these terms; auto takes
+            the model that fits better, a fisheye only where the view is wide.
         pixel_aspect: Width of a pixel over its height. All is fitted in square pixels of the same height; only the
             intrinsics are in the picture's own.
     Raises:
@@ -178,18 +177,15 @@ def calibrate_intrinsics(
     """
     if pixel_aspect != 1:
         wide = [replace(view, xy=view.xy * [pixel_aspect, 1.0]) for view in views]
-        found = calibrate_intrinsics(name, wide, spec, (round(size[0] * pixel_aspect), size[1]), lens, terms)
+        found = calibrate_intrinsics(name, wide, spec, (round(size[0] * pixel_aspect), size[1]), lens)
         return replace(found, intrinsics=_narrowed(found.intrinsics, size, pixel_aspect))
     sharp, blurred = _sharp_views(views)
     if len(sharp) < MIN_VIEWS:
         text = f"camera '{name}': the board is seen in {len(views)} pictures, need {MIN_VIEWS} (20 are good)"
         remedy = "film it longer, larger in the picture and tilted by 20 to 45 degrees"
         raise HealthError("board-rarely-seen", f"{text}; {remedy}")
-    families = (
-        [(terms,)]
-        if terms
-        else {"auto": [PINHOLE, FISHEYE], "pinhole": [PINHOLE], "fisheye": [FISHEYE]}[lens]
-    )
+    models = {"auto": [PINHOLE, FISHEYE], "pinhole": [PINHOLE], "fisheye": [FISHEYE]}
+    families = [(lens,)] if isinstance(lens, Terms) else models[lens]
     wrong = {v.frame: misfit(spec, v.ids, v.xy) for v in sharp if misread(spec, v.ids, v.xy)}
     dropped = wrong if len(sharp) - len(wrong) >= MIN_VIEWS else {}
     kept = _spread_views([v for v in sharp if v.frame not in dropped])

@@ -25,7 +25,7 @@ PLACES = {  # name -> rows, columns of cells; an edge is what lies between two c
 
 
 @dataclass(frozen=True)
-class Evidence:
+class BoardCoverage:
     """Of the views of one camera that were used.
 
     Attributes:
@@ -72,13 +72,13 @@ class Evidence:
         }
 
 
-def gather_evidence(fit: Fit, frames: list[int]) -> Evidence:
+def gather_evidence(fit: Fit, frames: list[int]) -> BoardCoverage:
     """Evidence of a fit whose views are of these frames."""
     normal = fit.poses[:, :, 2] * -np.sign(fit.poses[:, 2:, 2])  # the side that the camera sees
     count = len(fit.residual)
     chosen = np.random.default_rng(0).permutation(count)[:SAMPLE]
     chosen.sort()
-    return Evidence(
+    return BoardCoverage(
         frames=tuple(frames),
         cells=cell_counts(fit.corners.xy, fit.size),
         tilt_deg=np.degrees(np.arccos(np.clip(np.abs(normal[:, 2]), 0, 1))),

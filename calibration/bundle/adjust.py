@@ -32,7 +32,7 @@ MAX_DAMPING = 1e8
 
 
 @dataclass(frozen=True)
-class Solution:
+class BundleSolution:
     """The adjusted problem.
 
     Attributes:
@@ -55,7 +55,7 @@ class Solution:
     iterations: int
 
 
-def adjust(problem: Problem, loss: Loss = "cauchy") -> Solution:
+def adjust(problem: Problem, loss: Loss = "cauchy") -> BundleSolution:
     """Minimise the robust reprojection error.
 
     Args:
@@ -249,7 +249,7 @@ def _rotations(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     return out
 
 
-def _solution(problem: Problem, layout: _Layout, loss: Loss, steps: int) -> Solution:
+def _solution(problem: Problem, layout: _Layout, loss: Loss, steps: int) -> BundleSolution:
     residual = reprojection(problem)
     spare = max(residual.size - layout.outer - layout.inner, 1)  # unknowns take a part of the noise with them
     freedom = float(np.sqrt(residual.size / spare))
@@ -265,7 +265,7 @@ def _solution(problem: Problem, layout: _Layout, loss: Loss, steps: int) -> Solu
         std = np.append(np.sqrt(np.maximum(np.diag(covariance), 0.0)), 0.0)
     intrinsics_std = std[layout.intrinsics]
     intrinsics_std[problem.one_focal, 1] = intrinsics_std[problem.one_focal, 0]
-    return Solution(
+    return BundleSolution(
         problem=problem,
         residual_px=residual,
         pose_covariance=poses,

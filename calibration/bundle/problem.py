@@ -15,7 +15,7 @@ from devrf.calibration.intrinsics import Intrinsics
 
 
 @dataclass(frozen=True)
-class Timing:
+class ViewTiming:
     """How bodies move while free-running cameras take their pictures. A view is one picture of one body.
 
     Attributes:
@@ -83,7 +83,7 @@ class Problem:
     obs_std: Float[np.ndarray, " observations"]
     unit: float = 1.0
     free_unit: bool = False
-    timing: Timing | None = None
+    timing: ViewTiming | None = None
 
     @property
     def points(self) -> Float[np.ndarray, "bodies 3"]:

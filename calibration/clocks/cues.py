@@ -28,7 +28,7 @@ AT_EDGES = f"without the first and last {EDGE_S} s of the clips it is another"
 
 
 @dataclass(frozen=True)
-class Curve:
+class LagCurve:
     """How well two cameras agree at each lag: what the decision was taken from."""
 
     first: str
@@ -42,7 +42,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class CueComparison:
     """Two independent cues for the delay between two cameras.
 
     Attributes:
@@ -89,7 +89,7 @@ class Extras:
 
 
 @dataclass
-class Evidence:
+class ClockEvidence:
     """What was heard and seen: equations for the clocks, and what is to be told about them.
 
     Two cameras of which both are `known` are not compared: their clocks stand.
@@ -98,8 +98,8 @@ class Evidence:
     known: frozenset[str] = frozenset()
     equations: list[Equation] = field(default_factory=list)
     checks: list[Equation] = field(default_factory=list)  # not needed for the clocks
-    comparisons: list[Comparison] = field(default_factory=list)
-    curves: list[Curve] = field(default_factory=list)
+    comparisons: list[CueComparison] = field(default_factory=list)
+    curves: list[LagCurve] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
     def accepted(self, *cues: PairCue) -> list[Equation]:
@@ -111,7 +111,7 @@ class Evidence:
         return [(a, b) for a, b in itertools.combinations(names, 2) if not {a, b} <= self.known]
 
 
-def hear(names: Sequence[str], sounds: Mapping[str, Sound], out: Evidence, progress: Progress) -> None:
+def hear(names: Sequence[str], sounds: Mapping[str, Sound], out: ClockEvidence, progress: Progress) -> None:
     """Compare the sound of every pair."""
     heard = [n for n in names if n in sounds]
     pairs = out.pairs(heard)
@@ -122,7 +122,7 @@ def hear(names: Sequence[str], sounds: Mapping[str, Sound], out: Evidence, progr
             out.notes.append(f"{a} and {b}: too little sound to compare")
             continue
         c = found.correlation
-        out.curves.append(Curve(a, b, "audio", c.delay_s, c.ratio, found.accepted, c.lags_s, c.values))
+        out.curves.append(LagCurve(a, b, "audio", c.delay_s, c.ratio, found.accepted, c.lags_s, c.values))
         if not found.accepted:
             why = "" if c.beat_s is None else f" (beat every {c.beat_s:.2f} s: ambiguous)"
             out.notes.append(
@@ -141,7 +141,7 @@ def _sound_equations(a: str, b: str, found: SoundDelay, accepted: bool) -> list[
 
 
 def hear_again(
-    names: Sequence[str], sounds: Mapping[str, Sound], recorded: Mapping[str, Recorded], out: Evidence
+    names: Sequence[str], sounds: Mapping[str, Sound], recorded: Mapping[str, Recorded], out: ClockEvidence
 ) -> None:
     """Sound with several peaks, near the delay that another cue or a timecode states: which peak is right."""
     trusted = {(e.a, e.b) for e in out.accepted("audio")}
@@ -159,7 +159,7 @@ def hear_again(
 
 
 def _prior(
-    a: str, b: str, recorded: Mapping[str, Recorded], out: Evidence
+    a: str, b: str, recorded: Mapping[str, Recorded], out: ClockEvidence
 ) -> tuple[float, float, str] | None:
     """A delay known well enough to choose between peaks of sound, its standard deviation, and whose it is."""
     priors = [(e.delay_s, e.std_s, e.cue) for e in out.accepted("flash", "motion") if (e.a, e.b) == (a, b)]
@@ -168,7 +168,7 @@ def _prior(
     return min((p for p in priors if p[1] <= PRIOR_STD_S), key=lambda p: p[1], default=None)
 
 
-def see_flashes(names: Sequence[str], extras: Extras, out: Evidence, aloud: bool) -> None:
+def see_flashes(names: Sequence[str], extras: Extras, out: ClockEvidence, aloud: bool) -> None:
     """Compare flashes; what was not seen is said where flashes were asked for or others saw some."""
     seen: dict[str, Flashes] = {
         n: find_flashes(extras.brightness[n], extras.readout_s.get(n))
@@ -219,7 +219,7 @@ def see_flashes(names: Sequence[str], extras: Extras, out: Evidence, aloud: bool
 def watch(
     names: Sequence[str],
     motion: Mapping[str, Float[np.ndarray, "_ 2"]],
-    out: Evidence,
+    out: ClockEvidence,
     progress: Progress,
     rest: Rest = "none",
 ) -> None:
@@ -247,7 +247,7 @@ def watch(
             continue
         out.equations.append(equation)
         out.curves.append(
-            Curve(a, b, "motion", found.delay_s, quality, found.accepted, found.lags_s, found.values)
+            LagCurve(a, b, "motion", found.delay_s, quality, found.accepted, found.lags_s, found.values)
         )
         if not found.lasts:
             out.notes.append(f"{a} and {b}: motion not trusted, {AT_EDGES}")

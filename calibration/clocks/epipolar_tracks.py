@@ -35,7 +35,7 @@ LK = {"winSize": (15, 15), "maxLevel": 2}
 
 
 @dataclass(frozen=True)
-class Tracks:
+class PointTracks:
     """Points followed through some frames: ideal coordinates [n, t, 2] at file times [t], descriptors [n, d]."""
 
     time_s: Float[np.ndarray, " t"]
@@ -70,20 +70,20 @@ class TrackFinder:
         self.step_s = float(np.median(np.diff(pictures.time_s)))
         self._mask = _moving(pictures.grey)
         self._described: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        self._found: dict[tuple[int, int], Tracks | None] = {}
+        self._found: dict[tuple[int, int], PointTracks | None] = {}
 
     def near(self, time_s: float) -> int:
         """Index of the picture nearest to a file time."""
         return int(np.argmin(np.abs(self.pictures.time_s - time_s)))
 
-    def at(self, index: int, around: int) -> Tracks | None:
+    def at(self, index: int, around: int) -> PointTracks | None:
         """Tracks from `around` frames before a picture to as many after it; None where there are none."""
         key = (index, around)
         if key not in self._found:
             self._found[key] = self._track(index, around)
         return self._found[key]
 
-    def _track(self, index: int, around: int) -> Tracks | None:
+    def _track(self, index: int, around: int) -> PointTracks | None:
         grey, count = self.pictures.grey, len(self.pictures.grey)
         if index not in self._described:
             self._described[index] = _describe(grey[index], self._mask)
@@ -103,7 +103,7 @@ class TrackFinder:
         if not whole.any():
             return None
         ideal = _ideal(self.pictures, points[whole])
-        return Tracks(self.pictures.time_s[frames], ideal, descriptors[whole])
+        return PointTracks(self.pictures.time_s[frames], ideal, descriptors[whole])
 
 
 def track_delay(

@@ -91,7 +91,7 @@ class Equation:
 
 
 @dataclass(frozen=True)
-class Solution:
+class ClockSolution:
     """Clocks of the cameras that are reached from the first one.
 
     Attributes:
@@ -135,7 +135,7 @@ def held(clocks: Mapping[str, Clock], spans_s: Mapping[str, tuple[float, float]]
     return out
 
 
-def solve(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equation]) -> Solution:
+def solve(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equation]) -> ClockSolution:
     """Weighted least squares for offsets and drifts.
 
     Args:
@@ -163,7 +163,7 @@ def solve(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equati
             drift[name], gradient[d], unknown_s = float(x[d]), 1e-6 * (from_s + to_s) / 2, 0.0
         offset[name] = float(x[k])
         std[name] = float(np.hypot(np.sqrt(max(gradient @ cov @ gradient, 0.0)), unknown_s))
-    return Solution(offset, drift, std, residual)
+    return ClockSolution(offset, drift, std, residual)
 
 
 def _least_squares(

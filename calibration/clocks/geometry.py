@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
 from devrf.calibration.clocks.epipolar_tracks import TrackFinder, track_delay
-from devrf.calibration.clocks.equations import Clock, Equation, Loop, Solution, consistent, loops, solve
+from devrf.calibration.clocks.equations import Clock, ClockSolution, Equation, Loop, consistent, loops, solve
 from devrf.capture.system.cores import usable_cores
 from devrf.capture.system.progress import Progress, no_progress
 
@@ -63,7 +63,7 @@ class PairCheck:
 
 
 @dataclass(frozen=True)
-class Correction:
+class ClockCorrection:
     """What geometry says of one clock.
 
     Attributes:
@@ -93,8 +93,8 @@ class GeometryCheck:
     """
 
     pairs: tuple[PairCheck, ...]
-    corrections: dict[str, Correction]
-    held: dict[str, Correction]
+    corrections: dict[str, ClockCorrection]
+    held: dict[str, ClockCorrection]
     loops: tuple[Loop, ...]
     notes: tuple[str, ...]
 
@@ -198,7 +198,7 @@ def _compared(
 
     seen = {n for e in kept for n in (e.a, e.b)}
 
-    def corrections(by: Solution) -> dict[str, Correction]:
+    def corrections(by: ClockSolution) -> dict[str, ClockCorrection]:
         asked = (n for n in names[1:] if n in by.offset_s and n in seen and n not in known)
         return {n: _correction(by.offset_s[n], by.std_s[n], work.step_s(n)) for n in asked}
 
@@ -327,7 +327,7 @@ def _solve(
     spans: Mapping[str, tuple[float, float]],
     pairs: Mapping[tuple[str, str], PairCheck | None],
     firm: Sequence[Equation],
-) -> tuple[Solution, list[Equation], list[Equation]]:
+) -> tuple[ClockSolution, list[Equation], list[Equation]]:
     """What each camera's times must be raised by; the pairs that agree, and those that do not.
 
     `firm`: of clocks that stand.
@@ -344,6 +344,6 @@ def _solve(
     return solve(spans, kept), kept, dropped
 
 
-def _correction(offset_s: float, std_s: float, step_s: float) -> Correction:
+def _correction(offset_s: float, std_s: float, step_s: float) -> ClockCorrection:
     limit_s = max(SHIFT_FRAMES * step_s, SHIFT_SIGMAS * std_s)
-    return Correction(offset_s, std_s, std_s <= FLAT_FRAMES * step_s, abs(offset_s) > limit_s)
+    return ClockCorrection(offset_s, std_s, std_s <= FLAT_FRAMES * step_s, abs(offset_s) > limit_s)

@@ -77,7 +77,7 @@ class Correlation:
 
 
 @dataclass(frozen=True)
-class Moment:
+class SharedMoment:
     """One and the same moment in two clips: file times, and the standard deviation of their difference."""
 
     first_s: float
@@ -90,7 +90,7 @@ class SoundDelay:
     """How two clips lie to each other by their sound: the peak that decides, and moments they share."""
 
     correlation: Correlation
-    moments: tuple[Moment, ...]
+    moments: tuple[SharedMoment, ...]
 
     @property
     def accepted(self) -> bool:
@@ -320,7 +320,7 @@ def _cut(sound: Sound, from_s: float, to_s: float) -> Sound:
     return Sound(sound.samples[i:j], sound.rate_hz, sound.start_s + i / sound.rate_hz)
 
 
-def _moment(first: Sound, second: Sound, found: Correlation) -> Moment:
+def _moment(first: Sound, second: Sound, found: Correlation) -> SharedMoment:
     """The common moment a delay stands for: where the sound both share has its energy."""
     from_s = max(first.start_s, second.start_s + found.delay_s)
     to_s = min(first.end_s, second.end_s + found.delay_s)
@@ -328,4 +328,4 @@ def _moment(first: Sound, second: Sound, found: Correlation) -> Moment:
     energy = np.square(np.diff(part, prepend=part[:1]))  # the difference stands for the band: no hum
     at_s = from_s + float((energy * np.arange(len(part))).sum() / max(energy.sum(), 1e-30)) / first.rate_hz
     spread_s = 1 / (2 * np.pi * np.mean(BAND_HZ) * max(found.ratio, 1.0))
-    return Moment(at_s, at_s - found.delay_s, float(np.hypot(STD_FLOOR_S, spread_s)))
+    return SharedMoment(at_s, at_s - found.delay_s, float(np.hypot(STD_FLOOR_S, spread_s)))

@@ -15,10 +15,10 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.clocks.cues import (
-    Comparison,
-    Curve,
-    Evidence,
+    ClockEvidence,
+    CueComparison,
     Extras,
+    LagCurve,
     hear,
     hear_again,
     see_flashes,
@@ -27,10 +27,10 @@ from devrf.calibration.clocks.cues import (
 from devrf.calibration.clocks.equations import (
     SURE,
     Clock,
+    ClockSolution,
     Cue,
     Equation,
     Loop,
-    Solution,
     consistent,
     groups,
     held,
@@ -74,10 +74,10 @@ class SyncResult:
     """
 
     cameras: dict[str, Clock]
-    curves: tuple[Curve, ...] = ()
+    curves: tuple[LagCurve, ...] = ()
     loop_s: float | None = None
     loops: tuple[Loop, ...] = ()
-    comparisons: tuple[Comparison, ...] = ()
+    comparisons: tuple[CueComparison, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -118,7 +118,7 @@ def synchronise(
         clocks = {n: Clock(0.0, 0.0, 0.0, "none", 0.0, basis) for n in names}
         return SyncResult(clocks, notes=("clocks are not synchronised: calibration.sync.method is none",))
     known = extras.known
-    evidence = Evidence(known=frozenset(known))
+    evidence = ClockEvidence(known=frozenset(known))
     sounds = {n: replace(s, start_s=s.start_s - extras.av_lag_s.get(n, 0.0)) for n, s in sounds.items()}
     if method in ("auto", "audio"):
         silent = [n for n in names if n not in sounds and n not in known]
@@ -168,7 +168,7 @@ def no_timecode(cameras: Sequence[str]) -> str:
     )
 
 
-def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence) -> None:
+def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: ClockEvidence) -> None:
     """Compare sound with flashes; where they differ, a camera's sound lags, and what its pictures saw counts."""
     sound, flash = (_offsets(spans_s, evidence.accepted(cue)) for cue in ("audio", "flash"))
     first = next(iter(spans_s))
@@ -179,7 +179,7 @@ def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence)
         difference_s = flash.offset_s[name] - sound.offset_s[name]
         unsure_s = float(np.hypot(sound.std_s[name], flash.std_s[name]))
         limit_s = max(LAG_S, LAG_SIGMAS * unsure_s)
-        found = Comparison(first, name, "audio", "flash", difference_s, limit_s)
+        found = CueComparison(first, name, "audio", "flash", difference_s, limit_s)
         evidence.comparisons.append(found)
         if found.contradicts:
             late.add(name)
@@ -192,13 +192,13 @@ def _settle_lags(spans_s: Mapping[str, tuple[float, float]], evidence: Evidence)
     ]
 
 
-def _offsets(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equation]) -> Solution:
+def _offsets(spans_s: Mapping[str, tuple[float, float]], equations: Sequence[Equation]) -> ClockSolution:
     """The clocks by one cue, without what contradicts the rest of it."""
     return solve(spans_s, consistent(spans_s, list(equations))[0])
 
 
 def _settle(
-    spans_s: Mapping[str, tuple[float, float]], evidence: Evidence, known: Mapping[str, Clock]
+    spans_s: Mapping[str, tuple[float, float]], evidence: ClockEvidence, known: Mapping[str, Clock]
 ) -> SyncResult:
     """Solve the accepted equations; add the best refused ones for cameras that are not reached otherwise."""
     names, notes = list(spans_s), list(evidence.notes)
@@ -287,7 +287,7 @@ def _clock(
     name: str,
     names: Sequence[str],
     used: Sequence[Equation],
-    solution: Solution,
+    solution: ClockSolution,
     reached: set[str],
     sure: bool,
 ) -> Clock:
@@ -326,14 +326,14 @@ def _clock(
     )
 
 
-def _against_motion(solution: Solution, checks: Sequence[Equation]) -> list[Comparison]:
+def _against_motion(solution: ClockSolution, checks: Sequence[Equation]) -> list[CueComparison]:
     """Motion that was not needed, against the clocks by sound and flashes."""
     out = []
     for e in checks:
         if e.accepted and e.a in solution.offset_s and e.b in solution.offset_s:
             a, b = (Clock(solution.offset_s[n], solution.drift_ppm[n]) for n in (e.a, e.b))
             difference_s = a.true_time(e.a_s) - b.true_time(e.b_s)
-            out.append(Comparison(e.a, e.b, "audio", "motion", difference_s, MOTION_SIGMAS * e.std_s))
+            out.append(CueComparison(e.a, e.b, "audio", "motion", difference_s, MOTION_SIGMAS * e.std_s))
     return out
 
 

@@ -32,7 +32,7 @@ SPARE = 1.2  # points that say something of their own, for each unknown
 
 
 @dataclass(frozen=True)
-class Correction:
+class ColourCorrection:
     """Linear light of the reference = matrix · linear light of the camera.
 
     Attributes:
@@ -49,7 +49,7 @@ def fit_correction(
     wanted: Float[np.ndarray, "n 3"],
     place: Float[np.ndarray, "n 2"],
     alike: int,
-) -> Correction:
+) -> ColourCorrection:
     """Fit the correction that takes `colours` to `wanted`.
 
     Args:
@@ -65,7 +65,7 @@ def fit_correction(
         gained = seen_not[best] - seen_not[kind]
         if gained.mean() > max(WORTH * seen_not[best].mean(), SIGMAS * gained.std() / np.sqrt(len(gained))):
             best = kind
-    return Correction(best, _fitted(colours, wanted, best, alike))
+    return ColourCorrection(best, _fitted(colours, wanted, best, alike))
 
 
 def needed(kind: Kind, alike: int) -> float:

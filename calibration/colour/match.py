@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from devrf.calibration.colour.correction_fit import (
-    Correction,
+    ColourCorrection,
     brighter_by,
     difference,
     fit_correction,
@@ -52,7 +52,7 @@ class Matched:
     """
 
     reference: str
-    corrections: dict[str, Correction]
+    corrections: dict[str, ColourCorrection]
     fitted: dict[str, int]
     brightness: dict[str, tuple[float, float]]
     apart: dict[str, Apart]
@@ -75,7 +75,7 @@ def match_cameras(pairs: Sequence[Pairs], reference: str, measured: Collection[s
         reference: Camera that the others are brought to.
         measured: Cameras that are measured and not corrected, nor used for others (test cameras).
     """
-    corrections: dict[str, Correction] = {}
+    corrections: dict[str, ColourCorrection] = {}
     fitted, brightness = {reference: 0}, {}
     names = {name for p in pairs for name in (p.first, p.second)} - {reference}
     waiting = names - set(measured)
@@ -110,7 +110,7 @@ def _held(pairs: Pairs) -> Bool[np.ndarray, " n"]:
 
 
 def _against(
-    pairs: Sequence[Pairs], name: str, done: Collection[str], corrections: dict[str, Correction]
+    pairs: Sequence[Pairs], name: str, done: Collection[str], corrections: dict[str, ColourCorrection]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
     """Colours in a camera, the corrected ones of the cameras done, and places, of points that may be fitted."""
     colours, wanted, place = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros((0, 2))]
@@ -125,12 +125,12 @@ def _against(
 
 
 def _corrected(
-    colours: Float[np.ndarray, "n 3"], name: str, corrections: dict[str, Correction]
+    colours: Float[np.ndarray, "n 3"], name: str, corrections: dict[str, ColourCorrection]
 ) -> Float[np.ndarray, "n 3"]:
     return colours @ corrections[name].matrix.T if name in corrections else colours
 
 
-def _apart(pairs: Sequence[Pairs], corrections: dict[str, Correction]) -> Apart:
+def _apart(pairs: Sequence[Pairs], corrections: dict[str, ColourCorrection]) -> Apart:
     before, after = [np.zeros(0)], [np.zeros(0)]
     for p in pairs:
         a, b = (p.colours[_held(p), side] for side in (0, 1))

@@ -58,15 +58,30 @@ class Bounds:
     before: Float[np.ndarray, "p 3"] = field(default_factory=lambda: NOTHING)
 
 
+@dataclass(frozen=True)
+class Silhouettes:
+    """What the fixed cameras show of the subject, for its visual hull.
+
+    Attributes:
+        masks: Their motion masks, or mattes.
+        shown: What they show, in words.
+        stretches: The same of shorter times, as `MaskHull` takes them.
+        across: Widths of the masks' pictures that a mean side of the box may be long. A larger box is drawn in, at most
+            to the smallest that explains what masks show; a smaller one is not: what is outside is modelled coarser.
+    """
+
+    masks: Sequence[MotionMask] = ()
+    shown: str = "what moves"
+    stretches: Sequence[Sequence[MotionMask | None]] = ()
+    across: float = 0.0
+
+
 def scene_bounds(
     sweep: Sequence[Camera],
     fixed: Sequence[Camera],
     points: Float[np.ndarray, "n 3"],
     distances: Float[np.ndarray, " m"],
-    masks: Sequence[MotionMask] = (),
-    shown: str = "what moves",
-    stretches: Sequence[Sequence[MotionMask | None]] = (),
-    across: float = 0.0,
+    silhouettes: Silhouettes | None = None,
 ) -> Bounds:
     """Find the box.
 
@@ -75,11 +90,7 @@ def scene_bounds(
         fixed: The moving scene's cameras; may be empty.
         points: The sweep's good points [n, 3].
         distances: Distance of every sighting of a point from its camera [m].
-        masks: Motion masks of the fixed cameras, or mattes.
-        shown: What they show, in words.
-        stretches: The same of shorter times, as `MaskHull` takes them.
-        across: Widths of the masks' pictures that a mean side of the box may be long. A larger box is drawn in, at most
-            to the smallest that explains what masks show; a smaller one is not: what is outside is modelled coarser.
+        silhouettes: Of the subject, where there are some.
     Raises:
         ValueError: There is no camera at all.
     """
@@ -89,17 +100,19 @@ def scene_bounds(
     box_from_up = upright(sweep or fixed, fixed or sweep)
     focus = focus_point(fixed if len(fixed) > 1 else cameras)
     region = _searched(points, focus, fixed or cameras, box_from_up)
-    hull, before = MaskHull.of(masks, region, box_from_up, stretches), NOTHING
+    by = silhouettes or Silhouettes()
+    hull, before = MaskHull.of(by.masks, region, box_from_up, by.stretches), NOTHING
+    seen_by = [mask.camera for mask in by.masks]
     if hull is not None:
-        (lo, hi), enough = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
+        (lo, hi), enough = _no_larger(hull, seen_by, box_from_up, by.across)
         # What stands before a thing hides it from some cameras: then others alone see it, and where their lines of
         # sight cross far away counts as well as where it is, unless cameras that cannot see it are not asked.
-        hull = None if enough else MaskHull.of(masks, region, box_from_up, stretches, points)
+        hull = None if enough else MaskHull.of(by.masks, region, box_from_up, by.stretches, points)
         if hull is not None:
-            other, _ = _no_larger(hull, [mask.camera for mask in masks], box_from_up, across)
+            other, _ = _no_larger(hull, seen_by, box_from_up, by.across)
             if np.prod(np.ptp(other, axis=0)) < np.prod(hi - lo):
                 (lo, hi), before = other, points
-        basis = f"visual hulls of {shown} in {len(masks)} cameras"
+        basis = f"visual hulls of {by.shown} in {len(by.masks)} cameras"
         margin = HULL_MARGIN
     else:
         lo, hi, basis = _point_box(points, focus_point(cameras), cameras, box_from_up)

@@ -6,7 +6,7 @@ from typing import Any
 
 from devrf.calibration.formats.colmap_rig import is_colmap, read_colmap_rig, write_colmap_rig
 from devrf.calibration.formats.easymocap import INTRI, is_easymocap, read_easymocap
-from devrf.calibration.formats.found import Found, FoundCamera, text_of
+from devrf.calibration.formats.found import FoundCalibration, FoundCamera, text_of
 from devrf.calibration.formats.json_cameras import parse as parse_json
 from devrf.calibration.formats.json_cameras import read_json_cameras
 from devrf.calibration.formats.kalibr import parse as parse_kalibr
@@ -32,7 +32,7 @@ from devrf.capture.system.errors import InputError
 __all__ = [
     "READ",
     "RIG_WRITERS",
-    "Found",
+    "FoundCalibration",
     "FoundCamera",
     "find_calibration",
     "find_single_files",
@@ -51,7 +51,7 @@ RIG_WRITERS: dict[str, Writer] = {  # (folder, cameras by name, whether lengths 
     "rig-opencv": write_opencv,
 }
 
-PARSED: tuple[tuple[Callable[[str], Any], Callable[[Path, Any], Found]], ...] = (
+PARSED: tuple[tuple[Callable[[str], Any], Callable[[Path, Any], FoundCalibration]], ...] = (
     (parse_qualisys, read_qualisys),
     (parse_toml, read_toml),
     (parse_kalibr, read_kalibr),
@@ -59,7 +59,7 @@ PARSED: tuple[tuple[Callable[[str], Any], Callable[[Path, Any], Found]], ...] = 
 )
 
 
-def find_calibration(path: Path) -> Found:
+def find_calibration(path: Path) -> FoundCalibration:
     """Read a calibration of another tool.
 
     Args:
@@ -96,7 +96,7 @@ def is_json_of_others(path: Path) -> bool:
     return parse_json(text) is not None or (data is not None and (is_single(data) or is_stereo(data)))
 
 
-def find_single_files(files: Mapping[str, Path]) -> Found:
+def find_single_files(files: Mapping[str, Path]) -> FoundCalibration:
     """One OpenCV file a camera.
 
     Raises:
@@ -113,7 +113,7 @@ def find_single_files(files: Mapping[str, Path]) -> Found:
     return read_singles(out)
 
 
-def _from_folder(folder: Path) -> Found:
+def _from_folder(folder: Path) -> FoundCalibration:
     if is_colmap(folder):
         return read_colmap_rig(folder)
     for name in (INTRI, INTRINSICS_FILE):

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from devrf.calibration.formats.found import Found, FoundCamera
+from devrf.calibration.formats.found import FoundCalibration, FoundCamera
 from devrf.capture.camera import Camera
 from devrf.capture.formats.colmap.colmap_model import Model, ModelImage, read_model, write_model
 from devrf.capture.formats.colmap.colmap_poses import pose, quat_wxyz
@@ -28,7 +28,7 @@ def is_colmap(folder: Path) -> bool:
     return bool(model_folders(folder))
 
 
-def read_colmap_rig(folder: Path) -> Found:
+def read_colmap_rig(folder: Path) -> FoundCalibration:
     """Cameras of a model (the largest, where there are several), by the name of their image or their folder."""
     notes: list[str] = []
     place = model_folder(folder, notes)
@@ -49,7 +49,9 @@ def read_colmap_rig(folder: Path) -> Found:
         text = f"{place}: no image is registered; expected a model with an image of every camera"
         raise InputError("pictures-none", text)
     _check_fixed(place, seen)
-    return Found(FORMAT, {name: cameras[0] for name, cameras in seen.items()}, "arbitrary", tuple(notes))
+    return FoundCalibration(
+        FORMAT, {name: cameras[0] for name, cameras in seen.items()}, "arbitrary", tuple(notes)
+    )
 
 
 def write_colmap_rig(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:

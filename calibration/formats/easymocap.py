@@ -8,7 +8,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from devrf.calibration.formats.found import Found, FoundCamera, distortion_of, matrix, pose, size_of, text_of
+from devrf.calibration.formats.found import (
+    FoundCalibration,
+    FoundCamera,
+    distortion_of,
+    matrix,
+    pose,
+    size_of,
+    text_of,
+)
 from devrf.calibration.formats.opencv import storage
 from devrf.capture.system.errors import InputError
 
@@ -23,7 +31,7 @@ def is_easymocap(data: Mapping[str, Any]) -> bool:
     return isinstance(names, list) and any(key.startswith(prefixes) for key in data)
 
 
-def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
+def read_easymocap(path: Path, data: Mapping[str, Any]) -> FoundCalibration:
     """The pair; `path` is either of its files."""
     intri, extri = dict(data), dict(data)
     if not any(key.startswith("K_") for key in data):
@@ -46,7 +54,7 @@ def read_easymocap(path: Path, data: Mapping[str, Any]) -> Found:
             rotation = extri.get(f"Rot_{name}", extri.get(f"R_{name}"))
             cam_from_world = pose(rotation, extri.get(f"T_{name}"), f"{path.parent / EXTRI}: camera {name}")
         cameras[name] = FoundCamera(K, k, "OPENCV", size, cam_from_world)
-    return Found(FORMAT, cameras, "m")
+    return FoundCalibration(FORMAT, cameras, "m")
 
 
 def _other(path: Path, name: str, required: bool) -> dict[str, Any]:

@@ -60,7 +60,7 @@ class FoundCamera:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundCalibration:
     """All cameras of a calibration, in the order of the file.
 
     Attributes:

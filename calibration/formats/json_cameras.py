@@ -12,7 +12,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from devrf.calibration.formats.found import Found, FoundCamera, distortion_of, matrix, pose, size_of
+from devrf.calibration.formats.found import (
+    FoundCalibration,
+    FoundCamera,
+    distortion_of,
+    matrix,
+    pose,
+    size_of,
+)
 
 
 def parse(text: str) -> dict[str, Any] | None:
@@ -32,13 +39,13 @@ def parse(text: str) -> dict[str, Any] | None:
     return data if all(isinstance(c, dict) and "K" in c for c in cameras.values()) else None
 
 
-def read_json_cameras(path: Path, data: Mapping[str, Any]) -> Found:
+def read_json_cameras(path: Path, data: Mapping[str, Any]) -> FoundCalibration:
     """Either of the two."""
     if isinstance(data["cameras"], list):
         cameras = [_panoptic(path, n, camera) for n, camera in enumerate(data["cameras"])]
-        return Found("Panoptic Studio", dict(cameras), "cm")
+        return FoundCalibration("Panoptic Studio", dict(cameras), "cm")
     poses = {str(key).split("_to_")[0]: value for key, value in data["camera_poses"].items()}
-    return Found(
+    return FoundCalibration(
         "multical",
         {str(name): _multical(path, str(name), c, poses) for name, c in data["cameras"].items()},
         "unsaid",

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from devrf.calibration.formats.found import (
-    Found,
+    FoundCalibration,
     FoundCamera,
     distortion_of,
     focal_matrix,
@@ -61,7 +61,7 @@ def parse(text: str) -> dict[str, dict[str, Any]] | None:
     return {key: cameras[key] for key in sorted(cameras, key=natural_key)} or None
 
 
-def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
+def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> FoundCalibration:
     """A chain of cameras; alone a camera has no pose."""
     names, out = _names(cameras), {}
     cam_from_world = IDENTITY
@@ -86,7 +86,7 @@ def read_kalibr(path: Path, cameras: Mapping[str, Mapping[str, Any]]) -> Found:
             size_of(camera.get("resolution"), f"{where}: resolution"),
             cam_from_world[:3] if len(cameras) > 1 else None,
         )
-    return Found(FORMAT, out, "m")
+    return FoundCalibration(FORMAT, out, "m")
 
 
 def _names(cameras: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

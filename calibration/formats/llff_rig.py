@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from devrf.calibration.formats.found import Found, FoundCamera
+from devrf.calibration.formats.found import FoundCalibration, FoundCamera
 from devrf.capture.formats.llff import POSES, read_rows
 from devrf.capture.formats.parts.opengl import cam_from_opengl
 from devrf.capture.system.errors import CaptureError, InputError
@@ -21,7 +21,7 @@ def is_llff(path: Path) -> bool:
     return path.name == POSES and path.is_file()
 
 
-def read_llff_rig(path: Path) -> Found:
+def read_llff_rig(path: Path) -> FoundCalibration:
     """A camera of each row: square pixels, principal point in the middle, no distortion.
 
     Raises:
@@ -51,4 +51,4 @@ def read_llff_rig(path: Path) -> Found:
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         cameras[names[n]] = FoundCamera(K, np.zeros(5), "OPENCV", (round(width), round(height)), pose)
     note = "rows are taken in the order of the clips' names, lenses as without distortion"
-    return Found(FORMAT, cameras, "arbitrary", (note,))
+    return FoundCalibration(FORMAT, cameras, "arbitrary", (note,))

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from devrf.calibration.formats.found import (
-    Found,
+    FoundCalibration,
     FoundCamera,
     cv_coefficients,
     distortion_of,
@@ -96,14 +96,14 @@ def read_single(path: Path, data: Mapping[str, Any]) -> FoundCamera:
     )
 
 
-def read_singles(files: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> Found:
+def read_singles(files: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> FoundCalibration:
     """Several cameras, one file each; camera name -> (path, content)."""
     cameras = {name: read_single(path, data) for name, (path, data) in files.items()}
     metric = all(data.get("length_unit") == "metre" for _, data in files.values())
-    return Found(SINGLE, cameras, "m" if metric else "arbitrary")
+    return FoundCalibration(SINGLE, cameras, "m" if metric else "arbitrary")
 
 
-def read_stereo(path: Path, data: Mapping[str, Any]) -> Found:
+def read_stereo(path: Path, data: Mapping[str, Any]) -> FoundCalibration:
     """A stereo pair: `path` is either of its files; the other is looked for beside it."""
     both = dict(data)
     if "M1" not in both or "R" not in both:
@@ -123,7 +123,7 @@ def read_stereo(path: Path, data: Mapping[str, Any]) -> Found:
         K = matrix(both.get(f"M{n}"), f"{path}: M{n}")
         lens = distortion_of(both, [f"D{n}"], f"{path}", others=())
         cameras[str(n)] = FoundCamera(K, lens, cam_from_world=cam_from_world)
-    return Found(STEREO, cameras, "unsaid")
+    return FoundCalibration(STEREO, cameras, "unsaid")
 
 
 def write_opencv(folder: Path, cameras: Mapping[str, Camera], metric: bool) -> None:

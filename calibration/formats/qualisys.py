@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from devrf.calibration.formats.found import Found, FoundCamera, distortion, matrix, pose, size_of
+from devrf.calibration.formats.found import FoundCalibration, FoundCamera, distortion, matrix, pose, size_of
 from devrf.capture.system.errors import InputError
 
 FORMAT = "Qualisys"
@@ -35,7 +35,7 @@ def parse(text: str) -> ElementTree.Element | None:
     return root if root.tag == "calibration" and root.find("cameras/camera") is not None else None
 
 
-def read_qualisys(path: Path, root: ElementTree.Element) -> Found:
+def read_qualisys(path: Path, root: ElementTree.Element) -> FoundCalibration:
     """Video cameras by serial number, in metres."""
     cameras, notes = {}, []
     for number, camera in enumerate(root.iterfind("cameras/camera")):
@@ -76,7 +76,7 @@ def read_qualisys(path: Path, root: ElementTree.Element) -> Found:
             size_of([right - left + 1, bottom - top + 1], f"{where}: fov_video"),
             pose(R, -R @ centre, f"{where}: transform"),
         )
-    return Found(FORMAT, cameras, "m", tuple(notes))
+    return FoundCalibration(FORMAT, cameras, "m", tuple(notes))
 
 
 def _values(camera: ElementTree.Element, tag: str, keys: tuple[str, ...], where: str) -> list[float]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from devrf.calibration.formats.found import (
-    Found,
+    FoundCalibration,
     FoundCamera,
     Unit,
     cv_coefficients,
@@ -48,7 +48,7 @@ def parse(text: str) -> dict[str, dict[str, Any]] | None:
     return cameras or None
 
 
-def read_toml(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> Found:
+def read_toml(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> FoundCalibration:
     """Cameras that their tool did not set aside (`ignore`)."""
     flavour: Flavour = "aniposelib"
     if any("cam_id" in table or "port" in table for table in tables.values()):  # port: pyxy3d's word
@@ -59,7 +59,7 @@ def read_toml(path: Path, tables: Mapping[str, Mapping[str, Any]]) -> Found:
         flavour = "Pose2Sim"
     used = {key: table for key, table in tables.items() if not table.get("ignore", False)}
     notes = tuple(f"camera {key} is left out: its file says ignore" for key in tables if key not in used)
-    return Found(
+    return FoundCalibration(
         flavour, dict(_camera(path, key, table) for key, table in used.items()), UNITS[flavour], notes
     )
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from devrf.calibration.bundle.problem import Timing
+from devrf.calibration.bundle.problem import ViewTiming
 
 WINDOW_PERIODS = 1.5  # each side: at 6 frames/s the neighbours, of fast cameras more: see the next line
 MIN_WINDOW_S = 0.1  # a hand moves smoothly over this; one instant's noise over 33 ms would be a wild speed
@@ -16,9 +16,9 @@ MAX_GAP_S = 0.5  # a longer pause between instants says nothing about the motion
 DELAY_STD_S = 0.1  # of a camera's clock, before the board is looked at: webcams are a frame late
 
 
-def still(view: Int[np.ndarray, " observations"], cameras: int, views: int) -> Timing:
+def still(view: Int[np.ndarray, " observations"], cameras: int, views: int) -> ViewTiming:
     """The timing of bodies that do not move."""
-    return Timing(
+    return ViewTiming(
         view=view,
         carry=np.tile(np.eye(3, 4), (views, 1, 1)),
         carried_s=np.zeros(views),
@@ -40,7 +40,7 @@ def carried(
     instant: Int[np.ndarray, " views"],
     offset_s: Float[np.ndarray, " views"],
 ) -> tuple[Float[np.ndarray, "views 3 4"], Float[np.ndarray, "views 3"], Float[np.ndarray, "views 3"]]:
-    """Where each view's board has moved to, its spin and its velocity (`Timing.carry`, `spin`, `velocity`).
+    """Where each view's board has moved to, its spin and its velocity (`ViewTiming.carry`, `spin`, `velocity`).
 
     Args:
         boards: world_from_board at the instants.

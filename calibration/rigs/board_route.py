@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from devrf.calibration.boards.find import BoardSpec
-from devrf.calibration.bundle.adjust import Solution, adjust, robust_sigma
+from devrf.calibration.bundle.adjust import BundleSolution, adjust, robust_sigma
 from devrf.calibration.bundle.model import depths, image_rate
-from devrf.calibration.bundle.problem import Observations, Problem, Timing, lenses
+from devrf.calibration.bundle.problem import Observations, Problem, ViewTiming, lenses
 from devrf.calibration.intrinsics import Intrinsics, from_vector
 from devrf.calibration.rigs.board_motion import carried, still
 from devrf.calibration.rigs.board_views import (
@@ -60,7 +60,7 @@ class BoardRig:
     """
 
     cameras: dict[str, Camera]
-    solution: Solution
+    solution: BundleSolution
     views: Views
     rms_px: float
     dropped: tuple[tuple[str, int], ...]
@@ -139,7 +139,7 @@ def boards_before(
     delay_s: Mapping[str, float],
     views: Mapping[str, list[TimedView]],
     spec: BoardSpec,
-) -> tuple[Solution, Views]:
+) -> tuple[BundleSolution, Views]:
     """The board's pose at every instant before cameras that are known; each picture's lag is found too."""
     fixed = {n: Intrinsics(c.width, c.height, c.K, c.distortion, None, c.model) for n, c in cameras.items()}
     seen = gather(views, spec, fixed)
@@ -154,7 +154,7 @@ def boards_before(
 
 @dataclass(frozen=True)
 class _Fit:
-    solution: Solution
+    solution: BundleSolution
     seen: Views
     dropped: tuple[tuple[str, int], ...]
 
@@ -216,7 +216,7 @@ def _rounds(seen: Views, spec: BoardSpec, problem: Problem, progress: Progress, 
     return _Fit(solution, seen, tuple(dropped))
 
 
-def _settled(before: Solution, now: Solution) -> bool:
+def _settled(before: BundleSolution, now: BundleSolution) -> bool:
     """Whether a round has changed the cameras by less than a tenth of their standard deviations."""
     std = np.sqrt(np.einsum("cii->ci", now.pose_covariance)[:, 3:].sum(1))
     moved = np.linalg.norm(now.problem.poses[:, :, 3] - before.problem.poses[:, :, 3], axis=1)
@@ -224,7 +224,7 @@ def _settled(before: Solution, now: Solution) -> bool:
 
 
 def _next(
-    seen: Views, spec: BoardSpec, solution: Solution, good: Bool[np.ndarray, " views"]
+    seen: Views, spec: BoardSpec, solution: BundleSolution, good: Bool[np.ndarray, " views"]
 ) -> tuple[Views, Problem]:
     """The problem of the next round: instants, motion, lags and noise as the last one showed them."""
     problem, timing = solution.problem, _timing(solution.problem)
@@ -281,14 +281,14 @@ def _shallow(problem: Problem) -> Bool[np.ndarray, " cameras"]:
     return out
 
 
-def _bad_views(seen: Views, solution: Solution) -> Bool[np.ndarray, " views"]:
+def _bad_views(seen: Views, solution: BundleSolution) -> Bool[np.ndarray, " views"]:
     squared = (solution.residual_px**2).sum(1)
     count = np.maximum(np.bincount(seen.obs_view, minlength=len(seen.camera)), 1)
     rms = np.sqrt(np.bincount(seen.obs_view, squared, len(seen.camera)) / count)
     return rms > OUTLIER_FACTOR * max(float(np.quantile(rms, OUTLIER_QUANTILE)), OUTLIER_FLOOR_PX)
 
 
-def _timing(problem: Problem) -> Timing:
+def _timing(problem: Problem) -> ViewTiming:
     assert problem.timing is not None
     return problem.timing
 

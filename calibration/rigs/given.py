@@ -15,7 +15,7 @@ import numpy as np
 
 from devrf.calibration.formats import (
     READ,
-    Found,
+    FoundCalibration,
     FoundCamera,
     find_calibration,
     find_single_files,
@@ -43,7 +43,7 @@ FARTHEST = 1e9  # of the world's origin from a camera: a thousand kilometres in 
 
 
 @runtime_checkable
-class Filmed(Protocol):
+class ClipGeometry(Protocol):
     """What a clip says of its pictures beside their size: how they were made upright, and how wide a pixel is."""
 
     @property
@@ -75,7 +75,7 @@ def read_given(
     sizes: Mapping[str, tuple[int, int]],
     unit: str | None = None,
     known_distance_m: float | None = None,
-    clips: Mapping[str, Filmed] = MappingProxyType({}),
+    clips: Mapping[str, ClipGeometry] = MappingProxyType({}),
 ) -> Given:
     """Read a calibration in any known format (`devrf.calibration.formats`), or our own rig.json.
 
@@ -121,7 +121,7 @@ def read_given(
     return Given(found.format, Rig(cameras, replace(scale, factor=1.0), "given"), intrinsics, tuple(notes))
 
 
-def _found(source: Path | Mapping[str, Path]) -> Found:
+def _found(source: Path | Mapping[str, Path]) -> FoundCalibration:
     return find_calibration(source) if isinstance(source, Path) else find_single_files(source)
 
 
@@ -150,7 +150,7 @@ def _own_rig(path: Path) -> Rig:
         raise InputError(error.code, f"{error}{others}") from None
 
 
-def _own(rig: Rig) -> Found:
+def _own(rig: Rig) -> FoundCalibration:
     """Our rig.json as any other calibration."""
     cameras = {}
     for name, c in rig.cameras.items():
@@ -158,7 +158,7 @@ def _own(rig: Rig) -> Found:
         cameras[name] = FoundCamera(
             c.camera.K, c.camera.distortion, c.camera.model, size, c.camera.cam_from_world
         )
-    return Found("devrf rig.json", cameras, "m" if rig.scale.metric else "arbitrary")
+    return FoundCalibration("devrf rig.json", cameras, "m" if rig.scale.metric else "arbitrary")
 
 
 def _match(names: list[str], found: list[str], where: str) -> tuple[dict[str, str], list[Measure]]:
@@ -196,7 +196,7 @@ def _pairs(chosen: Mapping[str, str]) -> str:
 
 
 def _fitted(
-    name: str, camera: FoundCamera, size: tuple[int, int], clip: Filmed | None, where: str
+    name: str, camera: FoundCamera, size: tuple[int, int], clip: ClipGeometry | None, where: str
 ) -> tuple[FoundCamera, list[Measure]]:
     """A camera as its clip's pictures show it, and what was assumed for it.
 
@@ -282,7 +282,7 @@ def _doubt_turn(name: str, upright: Upright) -> list[Measure]:
 
 
 def _scale(
-    found: Found,
+    found: FoundCalibration,
     cameras: Mapping[str, FoundCamera],
     names: list[str],
     unit: str | None,

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from devrf.calibration.bundle.adjust import Solution, adjust
-from devrf.calibration.bundle.problem import Problem, Timing
+from devrf.calibration.bundle.adjust import BundleSolution, adjust
+from devrf.calibration.bundle.problem import Problem, ViewTiming
 from devrf.calibration.rigs.board_motion import still
 from devrf.calibration.rigs.board_route import MIN_NOISE_PX, BoardRig
 from devrf.calibration.truth import rotation_angle_deg, similarity
@@ -96,8 +96,8 @@ def median_baseline(cameras: Mapping[str, Camera]) -> float:
 
 
 def adjust_together(
-    sweep: Solution, index: Mapping[str, int], cameras: Mapping[str, Camera], board: BoardRig
-) -> Solution:
+    sweep: BundleSolution, index: Mapping[str, int], cameras: Mapping[str, Camera], board: BoardRig
+) -> BundleSolution:
     """Adjust the sweep's and the board's problem as one; `unit` of the result is the sweep's unit per metre.
 
     Args:
@@ -136,7 +136,7 @@ def moved(problem: Problem, similarity: Float[np.ndarray, "4 4"]) -> Problem:
     )
 
 
-def _merged(sweep: Solution, boards: Problem, camera: list[int], corner_std_px: float) -> Problem:
+def _merged(sweep: BundleSolution, boards: Problem, camera: list[int], corner_std_px: float) -> Problem:
     """The sweep's problem and the boards in it; `camera` is where each of the boards' cameras is in the sweep's."""
     points, where = sweep.problem, np.array(camera)
     timing = boards.timing
@@ -147,7 +147,7 @@ def _merged(sweep: Solution, boards: Problem, camera: list[int], corner_std_px: 
         for name in ("intrinsics", "free_intrinsics", "one_focal", "prior_mean", "prior_std", "firm_prior")
     }
     rest = still(np.full(len(points.obs_body), views), len(points.poses), 1)  # the points' view comes last
-    both = Timing(
+    both = ViewTiming(
         view=np.concatenate([rest.view, timing.view]),
         carry=np.concatenate([timing.carry, rest.carry]),
         carried_s=np.append(timing.carried_s, 0.0),

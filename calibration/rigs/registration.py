@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from devrf.calibration.bundle.adjust import Solution, adjust
+from devrf.calibration.bundle.adjust import BundleSolution, adjust
 from devrf.calibration.bundle.problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics, from_vector
 from devrf.calibration.sweep.static_poses import SweepModel
@@ -51,7 +51,7 @@ class Registration:
     xy: Float[np.ndarray, "inliers 2"]
     matches: int
     verified: int
-    solution: Solution
+    solution: BundleSolution
 
 
 def match_model(
@@ -137,7 +137,7 @@ def refine(
     xyz: Float[np.ndarray, "n 3"],
     xy: Float[np.ndarray, "n 2"],
     prior: Intrinsics,
-) -> Solution:
+) -> BundleSolution:
     """Pose and intrinsics of one camera with the points held; `prior.std` says what may move (None: none)."""
     n = len(xyz)
     problem = Problem(

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int
 
-from devrf.calibration.bundle.adjust import Solution
+from devrf.calibration.bundle.adjust import BundleSolution
 from devrf.calibration.intrinsics import Intrinsics
 from devrf.calibration.rigs.registration import camera_of
 from devrf.calibration.rigs.rig import RigCamera
@@ -14,7 +14,7 @@ RESIDUALS = 500  # of each camera that are told, for a picture of them
 
 
 def rig_camera(
-    solution: Solution,
+    solution: BundleSolution,
     index: int,
     like: Intrinsics,
     source: str,

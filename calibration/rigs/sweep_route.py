@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from devrf.calibration.bundle.adjust import Solution, adjust
+from devrf.calibration.bundle.adjust import BundleSolution, adjust
 from devrf.calibration.bundle.problem import Problem, bodies_of_points, lenses
 from devrf.calibration.intrinsics import Intrinsics, guess
 from devrf.calibration.rigs.registration import FEATURE_STD_PX, Registration, register, weak_prior
@@ -79,7 +79,7 @@ class SweepRig:
     """
 
     cameras: dict[str, RigCamera]
-    solution: Solution
+    solution: BundleSolution
     index: dict[str, int]
     support: dict[str, Int[np.ndarray, " n"]]
     like: dict[str, Intrinsics]

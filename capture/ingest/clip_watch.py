@@ -14,7 +14,7 @@ from devrf.capture.video.reader import VideoFrame, VideoInfo
 FIXED: tuple[Role, ...] = ("camera", "test", "joint")  # on a tripod
 
 
-class Seen:
+class ClipWatch:
     """What the frames that have a time show, one after the other."""
 
     def __init__(self, role: Role) -> None:

@@ -23,7 +23,7 @@ from devrf.capture.frames import (
     window_of,
 )
 from devrf.capture.ingest.clip_faults import bit_rate_fault, repeats_fault
-from devrf.capture.ingest.clip_watch import Seen, Unused
+from devrf.capture.ingest.clip_watch import ClipWatch, Unused
 from devrf.capture.ingest.empty_ends import empty_note
 from devrf.capture.ingest.picture_writer import SUFFIX, PictureWriter
 from devrf.capture.ingest.signals import Courses
@@ -99,7 +99,7 @@ def extract_clip(
     true_time = None if times is None else dict(zip(times.index.tolist(), times.time_s.tolist(), strict=True))
     # A table of true times says nothing of file times, so only by decoding is its range found.
     span = keep.range_s if keep.only_range and true_time is None else None
-    seen = Seen(role)
+    seen = ClipWatch(role)
     file_s: dict[int, float] = {}
     records: dict[int, FrameRecord] = {}
     unused = Unused()

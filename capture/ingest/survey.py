@@ -67,7 +67,7 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Look:
+class Footage:
     """A clip or a folder of photos, looked into.
 
     Attributes:
@@ -148,7 +148,7 @@ def _join_card(folder: Path, material: Material) -> None:
         material.photos[folder] = [photo for part in parts for photo in material.photos.pop(part)]
 
 
-def look_at(path: Path, count: int) -> Look:
+def look_at(path: Path, count: int) -> Footage:
     """Read at most `count` pictures, spread over a clip or over a folder of photos.
 
     Raises:
@@ -157,7 +157,7 @@ def look_at(path: Path, count: int) -> Look:
     return _look_at_photos(path, count) if path.is_dir() else _look_at_clip(path, count)
 
 
-def _look_at_clip(path: Path, count: int) -> Look:
+def _look_at_clip(path: Path, count: int) -> Footage:
     info, times = probe_video(path), picture_times(path)
     runs = read_runs(path, times, spread_starts(times, count))
     pictures = tuple(small(run[0].rgb) for run in runs if run)
@@ -166,10 +166,10 @@ def _look_at_clip(path: Path, count: int) -> Look:
         raise CaptureError("video-unreadable", text)
     size, kind = (info.width, info.height), projection_of([info.projection], pictures)
     shown = (times, pictures, kind, info.upright, info.pixel_aspect)
-    return Look(path, True, *size, len(times), info.has_audio, "", info.notes, *shown)
+    return Footage(path, True, *size, len(times), info.has_audio, "", info.notes, *shown)
 
 
-def _look_at_photos(folder: Path, count: int) -> Look:
+def _look_at_photos(folder: Path, count: int) -> Footage:
     photos = list_pictures(folder)
     chosen = spread(photos, count)
     headers = [probe_picture(photo) for photo in chosen]
@@ -186,7 +186,7 @@ def _look_at_photos(folder: Path, count: int) -> Look:
     notes += (f"{len(copies)} of them are copies of others",) if copies else ()
     exif, kind = headers[0].exif, projection_of([header.projection for header in headers], pictures)
     device = "" if exif is None else exif.device
-    return Look(folder, False, *size, len(photos), False, device, notes, np.zeros(0), pictures, kind)
+    return Footage(folder, False, *size, len(photos), False, device, notes, np.zeros(0), pictures, kind)
 
 
 def _size_and_small(photo: Path, upright: Upright) -> tuple[tuple[int, int], Picture]:
@@ -195,7 +195,7 @@ def _size_and_small(photo: Path, upright: Upright) -> tuple[tuple[int, int], Pic
     return (picture.shape[1], picture.shape[0]), small(picture)
 
 
-def pictures_at(look: Look, end: End) -> list[Picture]:
+def pictures_at(look: Footage, end: End) -> list[Picture]:
     """Successive pictures of a clip at its start or its end, where they show something; fewer where it is damaged."""
     for length in (END_PICTURES, LONGER_END):
         starts = spread_starts(look.times_s, 2, length)

@@ -22,7 +22,7 @@ from scipy.signal import resample_poly
 
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.limits import check_span
-from devrf.capture.video.audio_channels import SILENCE_RMS, Choice, Heard, choose
+from devrf.capture.video.audio_channels import SILENCE_RMS, AudioChannel, ChannelLoudness, choose
 from devrf.capture.video.media import open_media, origin_s
 
 RATE_HZ = 48_000  # what nearly all cameras record; 21 microseconds a sample
@@ -75,7 +75,7 @@ def read_sound(path: Path) -> Sound | None:
         if not tracks:
             return None
         several = len(tracks) > 1 or (tracks[0].channels if tracks[0].codec_context else 1) > 1
-        choice = _listen(path, container) if several else Choice()
+        choice = _listen(path, container) if several else AudioChannel()
     with open_media(path) as container:
         stream = container.streams.audio[choice.track]
         blocks: list[tuple[float, np.ndarray]] = []
@@ -115,10 +115,10 @@ def heard(path: Path) -> Sound | None:
     return None if sound is None or sound.silent else sound
 
 
-def _listen(path: Path, container: InputContainer) -> Choice:
+def _listen(path: Path, container: InputContainer) -> AudioChannel:
     """Listen to all channels of all tracks, without keeping what is heard, and choose."""
     tracks = [s for s in container.streams.audio if s.codec_context is not None]
-    heard = {s.index: Heard() for s in container.streams.audio}
+    heard = {s.index: ChannelLoudness() for s in container.streams.audio}
     damaged: set[int] = set()
     first_s: float | None = None
     for packet in _packets(container, tracks):

@@ -17,7 +17,7 @@ LOUD_SHARE, LOUD_BLOCKS = 0.01, 3  # the loudest passages: this share of the blo
 
 
 @dataclass(frozen=True)
-class Choice:
+class AudioChannel:
     """What is listened to.
 
     Attributes:
@@ -32,7 +32,7 @@ class Choice:
 
 
 @dataclass
-class Heard:
+class ChannelLoudness:
     """How loud the mean of a track's channels is, and each channel, block by block.
 
     Attributes:
@@ -54,12 +54,12 @@ class Heard:
         )
 
 
-def choose(tracks: list[Heard]) -> Choice:
+def choose(tracks: list[ChannelLoudness]) -> AudioChannel:
     """The channel in which most is to be heard, where the mean of the first track's channels will not do."""
     found = [(n, heard) for n, heard in enumerate(tracks) if heard.power]
     loud = [n for n, heard in found if np.mean(heard.power, axis=0).max() > SILENCE_RMS**2]
     if not loud:
-        return Choice()
+        return AudioChannel()
     clearest = {n: float(_clearness(np.array(tracks[n].steep)).max()) for n in loud}
     track = max(loud, key=clearest.__getitem__)
     if clearest[track] <= CLEARER * clearest[loud[0]]:  # hiss, or the hum of a socket without a microphone
@@ -71,10 +71,12 @@ def choose(tracks: list[Heard]) -> Choice:
     where = f"track {track + 1} of {len(tracks)}"
     which = f"channel {channel} of {len(power) - 1}" + (f" in {where}" if track else "")
     if len(power) > 2 and steep[0] < CANCELLED * steep[1:].max() and power[0] < CANCELLED * power[1:].max():
-        return Choice(track, channel - 1, f"{which}, because the channels cancel in their mean")
+        return AudioChannel(track, channel - 1, f"{which}, because the channels cancel in their mean")
     if len(power) > 2 and steep[0] < LOW * power[0] and clear[channel] > CLEARER * clear[0]:
-        return Choice(track, channel - 1, f"{which}, because hum hides it in the mean of all")
-    return Choice(track, None, f"{where}, because less or nothing is heard in those before" if track else "")
+        return AudioChannel(track, channel - 1, f"{which}, because hum hides it in the mean of all")
+    return AudioChannel(
+        track, None, f"{where}, because less or nothing is heard in those before" if track else ""
+    )
 
 
 def _clearness(steep: Float[np.ndarray, "blocks kinds"]) -> Float[np.ndarray, " kinds"]:

@@ -50,7 +50,7 @@ AROUND: dict[str, tuple[Any, Any]] = {
 
 
 @dataclass
-class Asked:
+class BenchRequest:
     """A scene to be measured, as the command line names it; it is read, or rendered, when it is first needed.
 
     Attributes:
@@ -118,7 +118,7 @@ class Asked:
 def of_a_scene(
     group: typer.Typer, scene: Any = SceneArgument, preset: str | None = None
 ) -> Callable[[Callable[..., None]], None]:
-    """A function of an `Asked` and options of its own becomes a command that has the shared ones, too.
+    """A function of a `BenchRequest` and options of its own becomes a command that has the shared ones, too.
 
     Args:
         group: The commands.
@@ -137,7 +137,7 @@ def of_a_scene(
             shared = (given["scene"], given.get("preset", preset or None), given["overrides"] or [])
             places = (given["out"], given["json"], given["device"])
             with errors_told(talk):
-                asked = Asked(measure.__name__, *shared, *places, talk)
+                asked = BenchRequest(measure.__name__, *shared, *places, talk)
                 measure(asked, **{p.name: given[p.name] for p in own})
 
         command.__doc__ = measure.__doc__

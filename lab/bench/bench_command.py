@@ -8,7 +8,7 @@ import typer
 from devrf.capture.system.errors import InputError
 from devrf.lab.bench.accuracy.accuracy_commands import add_accuracy
 from devrf.lab.bench.arguments import (
-    Asked,
+    BenchRequest,
     SeedsOption,
     SmallSceneArgument,
     names_of,
@@ -25,7 +25,7 @@ bench = typer.Typer(help="Measured tables and charts.", no_args_is_help=True, ri
 
 @of_a_scene(bench)
 def ablation(
-    asked: Asked,
+    asked: BenchRequest,
     seeds: SeedsOption = 1,
     only: Annotated[str | None, typer.Option(help="Some of the variants: base,c2f")] = None,
 ) -> None:
@@ -37,7 +37,7 @@ def ablation(
 
 
 @of_a_scene(bench)
-def views(asked: Asked, seeds: SeedsOption = 1) -> None:
+def views(asked: BenchRequest, seeds: SeedsOption = 1) -> None:
     """How quality depends on the number of moving cameras, from one to all there are."""
     from devrf.lab.bench.training.views import run_views
 
@@ -46,7 +46,7 @@ def views(asked: Asked, seeds: SeedsOption = 1) -> None:
 
 @of_a_scene(bench)
 def speed(
-    asked: Asked,
+    asked: BenchRequest,
     presets: Annotated[str, typer.Option(help="What is compared")] = ",".join(get_args(PresetName)),
     efforts: Annotated[
         str, typer.Option(help="Shares of each preset's iterations, each a training of its own: 0.25,0.5,1")
@@ -84,7 +84,7 @@ def speed(
 
 @of_a_scene(bench)
 def methods(
-    asked: Asked,
+    asked: BenchRequest,
     names: Annotated[
         str, typer.Option("--methods", help=f"What is compared, out of {', '.join(METHODS)}")
     ] = f"d-nerf,k-planes,gaussians,{OURS}",
@@ -107,7 +107,7 @@ def methods(
 
 @of_a_scene(bench, SmallSceneArgument, preset="")
 def stability(
-    asked: Asked,
+    asked: BenchRequest,
     axes: Annotated[
         str | None, typer.Option(help="Some of the axes or groups of them, by name; default: all")
     ] = None,

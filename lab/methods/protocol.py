@@ -14,7 +14,7 @@ from devrf.capture.system.progress import Progress, no_progress
 from devrf.flow.estimator import FlowEstimator
 from devrf.flow.store import CameraFlow
 from devrf.lab.methods.method_table import Regime, Size
-from devrf.reconstruct.options import Options
+from devrf.reconstruct.options import TrainingOptions
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class MethodTask:
     size: Size
     device: str
     seed: int
-    options: Callable[[str], Options]
+    options: Callable[[str], TrainingOptions]
     estimator: Callable[[], FlowEstimator]
 
     @cached_property

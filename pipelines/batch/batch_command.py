@@ -12,7 +12,7 @@ from devrf.pipelines.batch.local import LocalPool
 from devrf.pipelines.batch.progress_table import JSON_FILE, Board
 from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.batch.scene_rows import SceneRow, exit_code
-from devrf.pipelines.batch.scenes import BatchScene, Options, look, stand
+from devrf.pipelines.batch.scenes import BatchOptions, BatchScene, look, stand
 from devrf.pipelines.batch.task import GRACE_S
 from devrf.pipelines.batch.work import Work
 from devrf.pipelines.budget.memory import GB, RESERVE, left_bytes
@@ -30,7 +30,7 @@ GB_PER_JOB = 4.0  # what the example takes at most is 2.3 GB (docs/results.md)
 STOP_S = int(GRACE_S) + 30  # to end in order: what the runs get, and time to say so
 
 
-def batch(talk: Talk, paths: Sequence[Path], options: Options) -> int:
+def batch(talk: Talk, paths: Sequence[Path], options: BatchOptions) -> int:
     """Run the scenes.
 
     Args:
@@ -74,7 +74,7 @@ def batch(talk: Talk, paths: Sequence[Path], options: Options) -> int:
     return exit_code(rows) or (DONE if board.written else FAILED)
 
 
-def _row(scene: BatchScene, options: Options) -> SceneRow:
+def _row(scene: BatchScene, options: BatchOptions) -> SceneRow:
     """A scene's row, ended already where there is nothing to run."""
     row = SceneRow(str(scene.path), scene.name, None if scene.run_dir is None else str(scene.run_dir))
     if scene.run_dir is not None and scene.problem is None:
@@ -95,7 +95,7 @@ def _row(scene: BatchScene, options: Options) -> SceneRow:
     return row
 
 
-def _workers(options: Options, stack: ExitStack) -> LocalPool | RayCluster:
+def _workers(options: BatchOptions, stack: ExitStack) -> LocalPool | RayCluster:
     """What the tasks run on; given back when the stack is left.
 
     Raises:
@@ -108,7 +108,7 @@ def _workers(options: Options, stack: ExitStack) -> LocalPool | RayCluster:
     return cluster
 
 
-def _local(options: Options) -> LocalPool:
+def _local(options: BatchOptions) -> LocalPool:
     cores, gpus = usable_cores(), 0
     if resolve_device(options.device) == "cuda":
         import torch

@@ -17,7 +17,7 @@ from devrf.pipelines.terminal.shared_options import configured
 
 
 @dataclass(frozen=True)
-class Options:
+class BatchOptions:
     """What a batch is asked for: with what every scene is run, as by the options of `run`, and where.
 
     Attributes:
@@ -89,7 +89,7 @@ class BatchScene:
         return self.stages[first:]
 
 
-def look(paths: Sequence[Path], options: Options) -> list[BatchScene]:
+def look(paths: Sequence[Path], options: BatchOptions) -> list[BatchScene]:
     """Read and check every scene; what is wrong with one stands in its `problem`.
 
     Args:
@@ -122,7 +122,7 @@ def stand(scene: BatchScene) -> None:
     run.digests.save()
 
 
-def _read(path: Path, options: Options) -> BatchScene:
+def _read(path: Path, options: BatchOptions) -> BatchScene:
     scene = BatchScene((path / "scene.yaml" if path.is_dir() else path).resolve())
     try:
         config, scene_dir = configured(scene.path, options.preset, options.overrides)

@@ -9,7 +9,7 @@ from devrf.pipelines.batch.local import LocalPool
 from devrf.pipelines.batch.progress_table import Board
 from devrf.pipelines.batch.ray_cluster import RayCluster
 from devrf.pipelines.batch.scene_rows import SceneRow
-from devrf.pipelines.batch.scenes import BatchScene, Options
+from devrf.pipelines.batch.scenes import BatchOptions, BatchScene
 from devrf.pipelines.batch.task import Ended, Task
 from devrf.pipelines.runner.run_state import Run
 from devrf.pipelines.terminal.exit_codes import FAILED
@@ -28,7 +28,7 @@ class Work:
         board: Where to say how it goes.
     """
 
-    options: Options
+    options: BatchOptions
     engine: LocalPool | RayCluster
     board: Board
 

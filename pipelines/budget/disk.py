@@ -27,7 +27,7 @@ class BudgetError(DevrfError):
 
 
 @dataclass(frozen=True)
-class Room:
+class DiskSpace:
     """What a run may still write.
 
     Attributes:
@@ -41,7 +41,7 @@ class Room:
     remedy: str
 
 
-def room_of(config: "SceneConfig", run_dir: Path) -> Room:
+def room_of(config: "SceneConfig", run_dir: Path) -> DiskSpace:
     """Room for a run folder: on the disk that it lies on, or of its budget, whichever leaves less.
 
     Args:
@@ -49,7 +49,7 @@ def room_of(config: "SceneConfig", run_dir: Path) -> Room:
         run_dir: The run folder, made or not.
     """
     usage, disk_gb = shutil.disk_usage(nearest(run_dir)), config.budget.disk_gb
-    disk = Room(
+    disk = DiskSpace(
         usage.free - min(MARGIN, int(MARGIN_SHARE * usage.total)),
         f"{size_text(usage.free)} are free on the disk of {run_dir}",
         "free some space, or set output: in scene.yaml to a folder on a larger disk",
@@ -57,7 +57,7 @@ def room_of(config: "SceneConfig", run_dir: Path) -> Room:
     if disk_gb is None:
         return disk
     used = size_of(run_dir)
-    budget = Room(
+    budget = DiskSpace(
         int(disk_gb * GB) - used,
         f"budget.disk_gb is {disk_gb:g}, of which {run_dir} holds {size_text(used)}",
         "raise budget.disk_gb, or lower reconstruct.image_scale",

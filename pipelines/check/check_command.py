@@ -9,7 +9,7 @@ from pathlib import Path
 from devrf.calibration.preview.matching import Features
 from devrf.calibration.rigs.rig import ARBITRARY
 from devrf.capture.frames import SWEEP, CameraFrames, FrameSet
-from devrf.capture.ingest.survey import Look, find_material, look_at
+from devrf.capture.ingest.survey import Footage, find_material, look_at
 from devrf.capture.measure import Measure, Verdict, noted
 from devrf.capture.session import CaptureSession
 from devrf.capture.system.amounts import GB, counted, size_text
@@ -90,7 +90,7 @@ def look_at_capture(config: SceneConfig, scene_dir: Path, run_dir: Path, progres
     """All that is measured of a scene made of raw files."""
     session = capture_session(config, scene_dir)
     sections: Sections = {}
-    looks: dict[str, Look] = {}
+    looks: dict[str, Footage] = {}
     sweep: list[Features] = []
     if session.static is not None:
         looks[SWEEP] = look_at(session.static, CLIP_PICTURES)

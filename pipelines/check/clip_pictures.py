@@ -12,7 +12,7 @@ from devrf.capture.frames import CameraFrames, FrameRecord, Role, grey_small, sh
 from devrf.capture.ingest.ingest import MAX_SWEEP_FRAMES, with_clock_cues
 from devrf.capture.ingest.recordings import chapter_faults
 from devrf.capture.ingest.stillness import moving_mask, moving_share, smooth_grey
-from devrf.capture.ingest.survey import ENDS, Look, Picture, pictures_at, small
+from devrf.capture.ingest.survey import ENDS, Footage, Picture, pictures_at, small
 from devrf.capture.measure import Measure
 from devrf.capture.photos.photo_folders import list_pictures, unread_faults
 from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
@@ -47,7 +47,7 @@ class SweepSeen:
 
 
 def planned_frames(
-    look: Look, role: Role, source: str, sound: Sound | None = None, true: FrameTimes | None = None
+    look: Footage, role: Role, source: str, sound: Sound | None = None, true: FrameTimes | None = None
 ) -> CameraFrames:
     """Frames and times of one camera as `ingest` would write them, without pictures and sharpness."""
     seen = timing(look.times_s)
@@ -75,7 +75,7 @@ def planned_frames(
     return frames if role == "sweep" else with_clock_cues(frames, sound, look.path, whole=true is None)
 
 
-def see_sweep(look: Look, progress: Progress) -> SweepSeen:
+def see_sweep(look: Footage, progress: Progress) -> SweepSeen:
     """Look for sharpness, overlap and depth along a clip or a folder of photos."""
     used = _sweep_pictures(look)
     chosen = np.array(spread(used.tolist(), SWEEP_PICTURES))
@@ -116,7 +116,7 @@ def see_sweep(look: Look, progress: Progress) -> SweepSeen:
     return SweepSeen(frames, found, measures)
 
 
-def camera_measures(name: str, look: Look, rest: Rest, sweep: Sequence[Features]) -> Iterator[Measure]:
+def camera_measures(name: str, look: Footage, rest: Rest, sweep: Sequence[Features]) -> Iterator[Measure]:
     """Look at a fixed camera's clip, and for its view in the sweep; `sweep` is empty without one."""
     if look.black:
         yield _black("subject-small", name)
@@ -143,7 +143,7 @@ def camera_measures(name: str, look: Look, rest: Rest, sweep: Sequence[Features]
         yield Measure("camera-points", float(shared), name, fail=FEWEST_SHARED)
 
 
-def _sweep_pictures(look: Look) -> np.ndarray:
+def _sweep_pictures(look: Footage) -> np.ndarray:
     """About which pictures of a sweep are used [n]: one of each window of a clip, every photo that is no copy."""
     if not look.is_clip:
         return np.setdiff1d(np.arange(look.count), list(doubles(list_pictures(look.path))))
@@ -152,7 +152,7 @@ def _sweep_pictures(look: Look) -> np.ndarray:
     return ((np.arange(MAX_SWEEP_FRAMES) + 0.5) * look.count / MAX_SWEEP_FRAMES).astype(np.int64)
 
 
-def _read(look: Look, indices: Sequence[int], length: int = 1) -> Iterator[list[Picture]]:
+def _read(look: Footage, indices: Sequence[int], length: int = 1) -> Iterator[list[Picture]]:
     """Runs of pictures that begin at the given ones; of photos just these."""
     if look.is_clip:
         starts = [float(look.times_s[n]) for n in indices]

@@ -169,7 +169,7 @@ def batch(
     talk = talk_of(quiet, verbose)
     from devrf.pipelines.batch import batch_command as command
 
-    options = command.Options(
+    options = command.BatchOptions(
         preset, tuple(overrides or ()), until, allow_unhealthy, engine, address, jobs, device, out
     )
     with errors_told(talk):

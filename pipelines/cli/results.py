@@ -156,9 +156,9 @@ def render(
     """Render a film; without options, render the run's standard film again (docs/film.md)."""
     talk = talk_of(quiet, verbose)
     from devrf.pipelines.film import film_command as command
-    from devrf.pipelines.film.film_plan import Asked
+    from devrf.pipelines.film.film_plan import FilmRequest
 
-    asked = Asked(path, time, seconds, fps, size, layers, without, film_format, out)
+    asked = FilmRequest(path, time, seconds, fps, size, layers, without, film_format, out)
     job = run_command.prepare(talk, scene, preset, overrides, None, check_files=asked.nothing)
     if asked.nothing:
         run_command.only(job, "render", scene, device)
@@ -203,7 +203,7 @@ def export(
     from devrf.pipelines.export import export_command
 
     with errors_told(talk):
-        options = export_command.Options(dataset_format, out, times, level, splats, device)
+        options = export_command.ExportOptions(dataset_format, out, times, level, splats, device)
         with _stopped_told(talk, "export"):
             export_command.export(
                 talk, job.run_dir, options, job.config.name,

@@ -7,7 +7,7 @@ from pathlib import Path
 from devrf.capture.system.errors import InputError
 from devrf.pipelines.config.words import unknown_word
 from devrf.pipelines.export.formats import FORMATS
-from devrf.pipelines.export.request import Format, Options, Request
+from devrf.pipelines.export.request import ExportOptions, Format, Request
 from devrf.pipelines.run_folder.outcomes import check_made, refusals
 from devrf.pipelines.run_folder.output_folder import output_folder
 from devrf.pipelines.stages import up_to
@@ -19,7 +19,7 @@ INSTALL = "python -m pip install 'devrf[export]'; in a clone: python -m pip inst
 def export(
     talk: Talk,
     run_dir: Path,
-    options: Options,
+    options: ExportOptions,
     title: str = "",
     stale: Callable[[str], Sequence[str]] = lambda stage: (),
 ) -> Path:
@@ -54,7 +54,7 @@ def export(
     return folder
 
 
-def _check(chosen: Format, options: Options) -> None:
+def _check(chosen: Format, options: ExportOptions) -> None:
     """Raises InputError where the format takes no such option, or lacks a library."""
     for option in options.given():
         if option not in chosen.options:

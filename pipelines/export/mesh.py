@@ -11,7 +11,7 @@ from devrf.capture.system.progress import Progress
 from devrf.capture.system.spread import spread
 from devrf.pipelines.export.request import Request
 from devrf.pipelines.export.times import KEYS
-from devrf.pipelines.export.trained import Trained, bounds_of
+from devrf.pipelines.export.trained import ExportedModel, bounds_of
 
 if TYPE_CHECKING:  # it needs torch
     from torch import Tensor
@@ -31,7 +31,7 @@ GLTF_AXES = (
 
 def write(request: Request) -> None:
     """Write `scene.glb`: the mesh at rest, moved by the forward motion; movers are meshes of their own."""
-    level, trained = _level(request), Trained(request, KEYS)
+    level, trained = _level(request), ExportedModel(request, KEYS)
     from devrf.reconstruct.geometry.seen import solid
 
     model = solid(trained.model)
@@ -77,7 +77,7 @@ class _Made:
         facts: More for programs.
     """
 
-    meshes: list[gltf.Mesh]
+    meshes: list[gltf.GltfMesh]
     times_s: list[float]
     crumbs: int
     reached: np.ndarray
@@ -85,7 +85,7 @@ class _Made:
     facts: dict[str, Any]
 
 
-def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: Progress) -> _Made:
+def _one_mesh(trained: ExportedModel, model: "DynamicModel", level: float, progress: Progress) -> _Made:
     """All in one, whose shape changes."""
     from devrf.reconstruct.geometry.field import field_at
     from devrf.reconstruct.geometry.mesh_surface import apart, coloured, moved, surface_of
@@ -102,7 +102,7 @@ def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: P
         misses.append(apart(shapes[-1], trained.to_world(anew.vertices)))
         progress(0.5 + 0.5 * (n + 1) / len(moments), f"time {n + 1} of {len(moments)}")
     return _Made(
-        [gltf.Mesh("scene", vertices, base.faces, rgb, shapes)],
+        [gltf.GltfMesh("scene", vertices, base.faces, rgb, shapes)],
         [moment.time_s or 0.0 for moment in moments],
         base.crumbs,
         np.concatenate([vertices, *shapes]),
@@ -111,7 +111,7 @@ def _one_mesh(trained: Trained, model: "DynamicModel", level: float, progress: P
     )
 
 
-def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progress: Progress) -> _Made:
+def _rigid_meshes(trained: ExportedModel, model: "DynamicModel", level: float, progress: Progress) -> _Made:
     """What stands, and each part on a node that moves as it does in the model, at all its moments."""
     import torch
 
@@ -135,7 +135,7 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
             continue
         crumbs += found.crumbs
         way, vertices = ways[part - 1] if part else None, trained.to_world(found.vertices)
-        meshes.append(gltf.Mesh(name, vertices, found.faces, coloured(views, found, field), way=way))
+        meshes.append(gltf.GltfMesh(name, vertices, found.faces, coloured(views, found, field), way=way))
         moved.append(np.repeat(vertices[None], len(times), axis=0) if way is None else way.carried(vertices))
     if not meshes:
         text = f"nothing solid found at level {level:g}; give another --level"
@@ -160,7 +160,7 @@ def _rigid_meshes(trained: Trained, model: "DynamicModel", level: float, progres
     )
 
 
-def _ways(trained: Trained, movers: "Movers", times: "Tensor") -> list[gltf.Way]:
+def _ways(trained: ExportedModel, movers: "Movers", times: "Tensor") -> list[gltf.Way]:
     """Of the parts, in the world. They turn about their middles, as they do between the moments of the model."""
     placed = movers.placed(times)
     R, forth, t = (
@@ -200,7 +200,7 @@ def _level(request: Request) -> float:
     return level
 
 
-def _views(trained: Trained, model: "DynamicModel", progress: Progress) -> "list[SeenView]":
+def _views(trained: ExportedModel, model: "DynamicModel", progress: Progress) -> "list[SeenView]":
     """What training poses see of the scene at rest, in the colours that it has in motion."""
     from devrf.reconstruct.geometry.mesh_surface import resting
     from devrf.reconstruct.geometry.seen import look, poses
@@ -212,7 +212,7 @@ def _views(trained: Trained, model: "DynamicModel", progress: Progress) -> "list
     return views
 
 
-def _agreement(trained: Trained, misses: list[np.ndarray]) -> dict[str, Any]:
+def _agreement(trained: ExportedModel, misses: list[np.ndarray]) -> dict[str, Any]:
     """How far the mesh that moves lies from the surface of each time, in the world; told."""
     medians, most = ([float(np.quantile(m, q)) for m in misses] for q in (0.5, 0.95))
     unit = "m" if trained.scene.metric else "units"

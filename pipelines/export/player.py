@@ -9,7 +9,7 @@ from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import part
 from devrf.pipelines.export import splat_options as shared
 from devrf.pipelines.export.request import Request
-from devrf.pipelines.export.trained import Trained
+from devrf.pipelines.export.trained import ExportedModel
 from devrf.pipelines.player.page import page_size, player_page
 from devrf.reconstruct.geometry.camera_arc import Span, film_cameras, film_lens, fixed_cameras
 from devrf.reconstruct.geometry.paths import orbit
@@ -29,7 +29,7 @@ LAST = 0.02  # of the progress: packing and writing
 def write(request: Request) -> None:
     """Write `player.html`."""
     count = shared.asked(request)
-    trained = Trained(request, TIMES)
+    trained = ExportedModel(request, TIMES)
     movers = trained.model.movers
     _check_size(count, len(trained.moments), 0 if movers is None else movers.parts)
     from devrf.reconstruct.splats.packed import pack
@@ -68,7 +68,7 @@ def _check_size(count: int, keys: int, nodes: int) -> None:
         )
 
 
-def _about(trained: Trained, made: "Splats") -> dict[str, Any]:
+def _about(trained: ExportedModel, made: "Splats") -> dict[str, Any]:
     """What the page is told beside splats and views."""
     seconds = [moment.time_s or 0.0 for moment in trained.moments]
     return {
@@ -80,7 +80,7 @@ def _about(trained: Trained, made: "Splats") -> dict[str, Any]:
     }
 
 
-def _telling(trained: Trained, seconds: list[float]) -> float:
+def _telling(trained: ExportedModel, seconds: list[float]) -> float:
     """With which of the times the page begins."""
     from devrf.reconstruct.film.subject import subject_of
 
@@ -91,18 +91,18 @@ def _telling(trained: Trained, seconds: list[float]) -> float:
     return min(seconds, key=lambda s: abs(s - at_s))
 
 
-def _subtitle(trained: Trained) -> str:
+def _subtitle(trained: ExportedModel) -> str:
     moments, scene = trained.moments, trained.scene
     length = "" if len(moments) < 2 else f"{(moments[-1].time_s or 0) - (moments[0].time_s or 0):.1f} s, "
     unit = "metres" if scene.metric else "arbitrary scale"
     return f"{length}{unit}; made by devrf"
 
 
-def _span(trained: Trained) -> Span:
+def _span(trained: ExportedModel) -> Span:
     return Span.of(film_cameras(trained.boxed), trained.boxed.aabb)
 
 
-def _views(trained: Trained) -> list[tuple[str, Camera, np.ndarray]]:
+def _views(trained: ExportedModel) -> list[tuple[str, Camera, np.ndarray]]:
     """Names, cameras and what they look at: within the cameras' span first, then the cameras."""
     scene, target = trained.boxed, _span(trained).target
     cameras = film_cameras(scene)

@@ -9,14 +9,14 @@ from typing import Any
 from devrf.capture.formats.geometry.ply import write_ply
 from devrf.capture.system.errors import ReconstructError
 from devrf.pipelines.export.request import Request
-from devrf.pipelines.export.trained import AXES, Trained, entry_of
+from devrf.pipelines.export.trained import AXES, ExportedModel, entry_of
 
 TIMES = "10"
 
 
 def write(request: Request) -> None:
     """Write `points_0000.ply` and so on, one per time."""
-    trained = Trained(request, TIMES)
+    trained = ExportedModel(request, TIMES)
     from devrf.reconstruct.geometry.cloud import point_cloud
     from devrf.reconstruct.geometry.seen import look, poses, solid
 

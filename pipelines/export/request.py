@@ -14,7 +14,7 @@ OF_SOME = ("times", "level", "splats", "device")  # options that only some forma
 
 
 @dataclass(frozen=True)
-class Options:
+class ExportOptions:
     """What `export` is asked for; those of `OF_SOME` are None where they were not given.
 
     Attributes:
@@ -54,7 +54,7 @@ class Request:
     talk: Talk
     run_dir: Path
     folder: Path
-    options: Options
+    options: ExportOptions
     title: str
     notes: list[str]
 
@@ -87,7 +87,7 @@ class Format:
         write: Writes it.
         what: For people: what it is, in a few words.
         stage: What has to be finished.
-        options: Which of `Options` it takes.
+        options: Which of `ExportOptions` it takes.
         modules: Libraries of the extra `export` that it imports.
     """
 

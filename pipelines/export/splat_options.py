@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING, Any
 
-from devrf.capture.formats.geometry.ply import write_splat_ply
+from devrf.capture.formats.geometry.ply import GaussianVertices, write_splat_ply
 from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, part
 from devrf.pipelines.export.request import Request
-from devrf.pipelines.export.trained import AXES, Trained, entry_of
+from devrf.pipelines.export.trained import AXES, ExportedModel, entry_of
 
 if TYPE_CHECKING:  # it needs torch
     from devrf.reconstruct.splats.make import Splats
@@ -20,7 +20,7 @@ LAST = 0.05  # of the progress: writing
 def write(request: Request) -> None:
     """Write `splat_0000.ply` and so on, one per time; the same Gaussians in the same order."""
     count = asked(request)
-    trained = Trained(request, TIMES)
+    trained = ExportedModel(request, TIMES)
     import torch
 
     from devrf.reconstruct.splats.gaussians import transformed
@@ -32,15 +32,14 @@ def write(request: Request) -> None:
         for n, moment in enumerate(trained.moments):
             world, path = transformed(fitted.at(n).to("cpu"), matrix), new / f"splat_{n:04d}.ply"
             xyz = world.places.numpy()
-            write_splat_ply(
-                path,
+            vertices = GaussianVertices(
                 xyz,
                 world.colours.numpy(),
                 world.logits.numpy(),
                 world.log_scales.numpy(),
                 world.quats.numpy(),
-                trained.comments("splats", moment),
             )
+            write_splat_ply(path, vertices, trained.comments("splats", moment))
             entries.append(entry_of(path, moment, xyz))
             progress(1 - LAST + LAST * (n + 1) / len(trained.moments), f"{n + 1} files written")
         trained.describe(
@@ -71,7 +70,7 @@ def asked(request: Request) -> int:
     return count
 
 
-def made(trained: Trained, count: int, progress: Progress) -> "Splats":
+def made(trained: ExportedModel, count: int, progress: Progress) -> "Splats":
     """Splats of the model at the times that were asked for."""
     from devrf.reconstruct.splats.make import make_splats
 

@@ -13,7 +13,7 @@ KEYS = "keys"
 
 
 @dataclass(frozen=True)
-class Moment:
+class ExportTime:
     """A time that is exported.
 
     Attributes:
@@ -29,10 +29,10 @@ class Moment:
         return "at rest" if self.time_s is None else f"at {self.time_s:.4f} s"
 
 
-REST = Moment(None, None)
+REST = ExportTime(None, None)
 
 
-def chosen(text: str, scene: Scene, keys: list[float]) -> list[Moment]:
+def chosen(text: str, scene: Scene, keys: list[float]) -> list[ExportTime]:
     """The times that an option names, in order.
 
     Args:
@@ -55,4 +55,4 @@ def chosen(text: str, scene: Scene, keys: list[float]) -> list[Moment]:
             wrong = f"--times {text!r}: expected a number of times, {KEYS}, or times with commas such as 0.5s,1.25s"
             raise InputError("option-malformed", wrong)
         times = sorted({parse_time(part, "--times", scene.t0_s, scene.t1_s) for part in parts})
-    return [Moment(time, scene.t0_s + time * (scene.t1_s - scene.t0_s)) for time in times]
+    return [ExportTime(time, scene.t0_s + time * (scene.t1_s - scene.t0_s)) for time in times]

@@ -15,7 +15,7 @@ from devrf.capture.system.durable import write_json
 from devrf.capture.system.errors import InputError
 from devrf.pipelines.export import times
 from devrf.pipelines.export.request import Request
-from devrf.pipelines.export.times import Moment
+from devrf.pipelines.export.times import ExportTime
 from devrf.pipelines.inputs.device import resolve_device
 from devrf.pipelines.stamps.stamp import STAMP
 from devrf.reconstruct.sampling.pictures import training
@@ -30,7 +30,7 @@ AXES = (
 )
 
 
-class Trained:
+class ExportedModel:
     """The model of a run, and the world it is exported into.
 
     Attributes:
@@ -70,7 +70,7 @@ class Trained:
 
         device = resolve_device(request.options.device or "auto")
         self.model: DynamicModel = load_model(request.run_dir, device)
-        self.moments: list[Moment] = [times.REST]
+        self.moments: list[ExportTime] = [times.REST]
         if keys := moments_of(self.model):
             self.moments = times.chosen(default_times if wish is None else wish, self.scene, keys)
 
@@ -107,7 +107,7 @@ class Trained:
         """Unit directions of the box frame in the world."""
         return directions @ (self.world_from_box[:3, :3] / self.scale).T
 
-    def comments(self, what: str, moment: Moment) -> list[str]:
+    def comments(self, what: str, moment: ExportTime) -> list[str]:
         """What stands in the head of a file of one time."""
         return [f"devrf {what} in the world of the calibration", f"unit: {self.unit}", moment.said()]
 
@@ -153,7 +153,7 @@ class Trained:
         write_json(folder / FACTS, value)
 
 
-def entry_of(path: Path, moment: Moment, xyz: Float[np.ndarray, "n 3"], **facts: int) -> dict[str, Any]:
+def entry_of(path: Path, moment: ExportTime, xyz: Float[np.ndarray, "n 3"], **facts: int) -> dict[str, Any]:
     """A file of one time, for export.json."""
     return {"file": path.name, "time": moment.time, "time_s": moment.time_s, **facts, **bounds_of(xyz)}
 

@@ -16,7 +16,7 @@ from devrf.capture.system.durable import write_json
 from devrf.capture.system.errors import DevrfError, InputError
 from devrf.pipelines.budget.at_once import FILM, RENDERED, WITH_DEPTH
 from devrf.pipelines.budget.memory import too_much
-from devrf.pipelines.film.film_plan import Asked, Plan, planned
+from devrf.pipelines.film.film_plan import FilmRequest, Plan, planned
 from devrf.pipelines.inputs.device import resolve_device
 from devrf.pipelines.run_folder.outcomes import check_made, refusals
 from devrf.pipelines.run_folder.output_folder import output_folder
@@ -37,7 +37,7 @@ READS = ("scene", "canonical", "deformation")  # the stages whose results are fi
 KIND = "film"  # of folders that may be replaced
 
 
-def film(job: Run, asked: Asked, device: str) -> Path:
+def film(job: Run, asked: FilmRequest, device: str) -> Path:
     """Make a film of a run and say where it is; what is stopped leaves nothing, and an earlier film as it was.
 
     Args:
@@ -71,7 +71,9 @@ def film(job: Run, asked: Asked, device: str) -> Path:
     return folder
 
 
-def _make(job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]) -> float:
+def _make(
+    job: Run, asked: FilmRequest, plan: Plan, world: Scene, folder: Path, notes: Sequence[str]
+) -> float:
     """Write the film and `film.json`; seconds that it took."""
     from devrf.reconstruct.film.depth_layer import DepthScale
     from devrf.reconstruct.film.film_maker import Film, make_film
@@ -91,7 +93,7 @@ def _make(job: Run, asked: Asked, plan: Plan, world: Scene, folder: Path, notes:
     return made_in_s
 
 
-def _about(asked: Asked, plan: Plan, world: Scene, depth: "DepthScale") -> dict[str, Any]:
+def _about(asked: FilmRequest, plan: Plan, world: Scene, depth: "DepthScale") -> dict[str, Any]:
     """What there is to know of the film; also a camera path that nerfstudio, and `--path`, read again."""
     world_from_box = np.linalg.inv(world.box_from_world)
     shown = {"unit": depth.unit, "metres": world.metric, "near": depth.near, "far": depth.far}

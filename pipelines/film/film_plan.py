@@ -26,7 +26,7 @@ OTHER_SHAPE = 0.02  # by which the size of a camera that stands may differ from 
 
 
 @dataclass(frozen=True)
-class Asked:
+class FilmRequest:
     """The options of a film as typed; what was not asked for is None."""
 
     path: str | None = None
@@ -42,7 +42,7 @@ class Asked:
     @property
     def nothing(self) -> bool:
         """Whether no option was given."""
-        return self == Asked()
+        return self == FilmRequest()
 
     @property
     def name(self) -> str:
@@ -129,7 +129,7 @@ class Plan:
     fps: float
 
 
-def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Plan:
+def planned(asked: FilmRequest, world: Scene, moves: bool, most_pixels: int) -> Plan:
     """Find the cameras and times.
 
     Args:
@@ -163,7 +163,7 @@ def planned(asked: Asked, world: Scene, moves: bool, most_pixels: int) -> Plan:
     return Plan(tuple(path), times, fps)
 
 
-def _from_file(asked: Asked, spoken: str, lens: Camera) -> CameraPath | None:
+def _from_file(asked: FilmRequest, spoken: str, lens: Camera) -> CameraPath | None:
     path = Path(spoken).expanduser()
     if path.suffix.lower() != ".json" and not path.is_file():
         return None
@@ -180,7 +180,7 @@ def _from_file(asked: Asked, spoken: str, lens: Camera) -> CameraPath | None:
 
 
 def _times(
-    asked: Asked, scene: Scene, moves: bool, fps: float, given: CameraPath | None
+    asked: FilmRequest, scene: Scene, moves: bool, fps: float, given: CameraPath | None
 ) -> tuple[float | None, ...]:
     """Of each picture: as it was, or all of the clip in `--seconds`, or as the file says, or one time throughout."""
     seconds, clip_s = asked.seconds, scene.t1_s - scene.t0_s
@@ -222,7 +222,7 @@ def _places(given: CameraPath, count: int, knots: int) -> np.ndarray:
     return np.linspace(0, knots - 1, count, endpoint=not given.closed)
 
 
-def _still(scene: Scene, name: str, asked: Asked) -> Camera:
+def _still(scene: Scene, name: str, asked: FilmRequest) -> Camera:
     """A camera that stands still, with its own lens, at the size that it is tested at or that was asked for."""
     known = {f.camera_name: f.camera for f in scene.dynamic}
     if name not in known:

@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from devrf.pipelines.init.material import Roles, Seen
+from devrf.pipelines.init.material import FootageContent, Roles
 from devrf.pipelines.init.names import SHORT, WORDS, words_of
 
 BOARD_SHARE = 0.5  # of a clip's pictures that show a board: it was filmed for the board
 AS_LONG = 1.5  # clips of several cameras that filmed one thing; people start and stop them one by one
 
 
-def is_board_clip(s: Seen, seen: Sequence[Seen], roles: Roles) -> bool:
+def is_board_clip(s: FootageContent, seen: Sequence[FootageContent], roles: Roles) -> bool:
     """Whether a clip or folder was made for the board; a guess is said."""
     if s.called_board and s.board_share > 0:
         return True
@@ -26,7 +26,7 @@ def is_board_clip(s: Seen, seen: Sequence[Seen], roles: Roles) -> bool:
     return bool(others)
 
 
-def give_boards(boards: list[Seen], roles: Roles) -> None:
+def give_boards(boards: list[FootageContent], roles: Roles) -> None:
     """Find the camera of each board clip; without a sweep, whether the cameras see the board at once."""
     if roles.sweep is None and roles.fixed and all(s.board_share > 0 for s in roles.fixed.values()):
         roles.joint |= roles.fixed
@@ -56,13 +56,13 @@ def give_boards(boards: list[Seen], roles: Roles) -> None:
         roles.joint, roles.boards = roles.boards, {}
 
 
-def _filmed_at_once(boards: dict[str, Seen], cameras: dict[str, Seen]) -> bool:
+def _filmed_at_once(boards: dict[str, FootageContent], cameras: dict[str, FootageContent]) -> bool:
     """Whether every camera has a board clip, and all are about as long."""
     lengths = [s.look.duration_s for s in boards.values()]
     return len(lengths) > 1 and set(boards) == set(cameras) and 0 < max(lengths) <= AS_LONG * min(lengths)
 
 
-def _owner_by_name(s: Seen, owners: dict[str, Seen]) -> str | None:
+def _owner_by_name(s: FootageContent, owners: dict[str, FootageContent]) -> str | None:
     """The camera whose name, or that alone lies in the same folder, is part of the clip's name; the longest counts."""
     own, folder = words_of(s.name), Path(s.name).parent
     scores: dict[str, float] = {}
@@ -79,7 +79,7 @@ def _owner_by_name(s: Seen, owners: dict[str, Seen]) -> str | None:
     return best if best is not None and scores[best] else None
 
 
-def _same_mode(s: Seen, other: Seen) -> bool:
+def _same_mode(s: FootageContent, other: FootageContent) -> bool:
     size, own = (s.look.width, s.look.height), (other.look.width, other.look.height)
     devices = {s.look.device, other.look.device} - {""}
     return size == own and len(devices) < 2

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from devrf.capture.formats.datasets import DatasetFormat, guess_formats, read_dataset
-from devrf.capture.ingest.survey import Look, Material, find_material, look_at
+from devrf.capture.ingest.survey import Footage, Material, find_material, look_at
 from devrf.capture.system.amounts import counted
 from devrf.capture.system.durable import whole
 from devrf.capture.system.errors import DevrfError, InputError
@@ -92,7 +92,7 @@ def _dataset(folder: Path) -> tuple[DatasetFormat | None, InputError | None]:
 
 def survey(folder: Path, material: Material, progress: Progress) -> Roles:
     """Look at everything and guess."""
-    looks: list[Look] = []
+    looks: list[Footage] = []
     left: dict[str, str] = {}
     own = sort_clips(folder, material)
     work = [*own.clips, *material.photos]
@@ -167,7 +167,7 @@ def _page(roles: Roles) -> Iterator[str]:
         yield from [title, *(f"  {line}" for line in lines)] if lines else ()
 
 
-def _words(look: Look) -> str:
+def _words(look: Footage) -> str:
     size = f"{look.width}x{look.height}"
     if look.is_clip:
         rate = f", {(look.count - 1) / look.duration_s:.4g} fps" if look.duration_s else ""

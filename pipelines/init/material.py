@@ -4,15 +4,15 @@ from dataclasses import dataclass, field
 
 from devrf.calibration.boards.guess import BoardGuess
 from devrf.calibration.preview.stability import Steadiness
-from devrf.capture.ingest.survey import Look
+from devrf.capture.ingest.survey import Footage
 from devrf.pipelines.init.names import called, roles_called
 
 
 @dataclass(frozen=True)
-class Seen:
+class FootageContent:
     """A clip or folder and what its pictures show."""
 
-    look: Look
+    look: Footage
     name: str
     steady: Steadiness
     board_share: float
@@ -50,11 +50,11 @@ class Roles:
         doubts: Contradictions and what is missing, one sentence each.
     """
 
-    sweep: Seen | None = None
-    cameras: dict[str, Seen] = field(default_factory=dict)
-    tests: dict[str, Seen] = field(default_factory=dict)
-    boards: dict[str, Seen] = field(default_factory=dict)
-    joint: dict[str, Seen] = field(default_factory=dict)
+    sweep: FootageContent | None = None
+    cameras: dict[str, FootageContent] = field(default_factory=dict)
+    tests: dict[str, FootageContent] = field(default_factory=dict)
+    boards: dict[str, FootageContent] = field(default_factory=dict)
+    joint: dict[str, FootageContent] = field(default_factory=dict)
     board: BoardGuess | None = None
     given: str | None = None
     metric: bool = False
@@ -64,6 +64,6 @@ class Roles:
     doubts: list[str] = field(default_factory=list)
 
     @property
-    def fixed(self) -> dict[str, Seen]:
+    def fixed(self) -> dict[str, FootageContent]:
         """Every fixed camera, the test cameras last."""
         return {**self.cameras, **self.tests}

@@ -10,13 +10,13 @@ from pathlib import Path
 from devrf.calibration.boards.guess import BoardGuess, Grey, board_pictures, guess_board
 from devrf.calibration.boards.instead import PICTURES, seen_instead
 from devrf.calibration.preview.stability import steadiness
-from devrf.capture.ingest.survey import Look
+from devrf.capture.ingest.survey import Footage
 from devrf.capture.measure import Measure
 from devrf.capture.projection import projection_faults
 from devrf.capture.system.amounts import counted
 from devrf.pipelines.health.judge import judge
 from devrf.pipelines.init.board_roles import BOARD_SHARE, give_boards, is_board_clip
-from devrf.pipelines.init.material import Roles, Seen
+from devrf.pipelines.init.material import FootageContent, Roles
 from devrf.pipelines.init.names import camera_name
 
 NO_BOARD = "no board is seen: film it larger and sharp, or rename the clip"
@@ -26,9 +26,12 @@ MOST_TRIALS = 24  # pictures in which a board of unknown kind is looked for; eac
 BOARD_TRIALS, STILL_TRIALS = 4, 2  # of them of each clip called a board clip, and of each camera that stands
 
 
-def see(looks: Sequence[Look], root: Path) -> tuple[list[Seen], BoardGuess | None]:
+def see(looks: Sequence[Footage], root: Path) -> tuple[list[FootageContent], BoardGuess | None]:
     """Look for movement and for a board in all clips and folders."""
-    seen = [Seen(look, look.path.relative_to(root).as_posix(), steadiness(look.greys), 0.0) for look in looks]
+    seen = [
+        FootageContent(look, look.path.relative_to(root).as_posix(), steadiness(look.greys), 0.0)
+        for look in looks
+    ]
     board = guess_board(_trials(seen))
     if board is None:
         return seen, None
@@ -36,7 +39,7 @@ def see(looks: Sequence[Look], root: Path) -> tuple[list[Seen], BoardGuess | Non
     return [replace(s, board_share=share) for s, share in zip(seen, shares, strict=True)], board
 
 
-def _trials(seen: Sequence[Seen]) -> list[Grey]:
+def _trials(seen: Sequence[FootageContent]) -> list[Grey]:
     """Pictures that tell which board it is: of board clips first, then of a sweep, which passes a board but once."""
     called = [grey for s in seen if s.called_board for grey in _some(s.look.greys, BOARD_TRIALS)]
     others = [s for s in seen if not s.called_board]
@@ -45,7 +48,7 @@ def _trials(seen: Sequence[Seen]) -> list[Grey]:
     return [*called, *swept, *fixed][:MOST_TRIALS]
 
 
-def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
+def guess_roles(seen: Sequence[FootageContent], board: BoardGuess | None) -> Roles:
     """Give every clip and folder a role."""
     roles = Roles(board=board)
     standing, moving, boards = [], [], []
@@ -78,7 +81,7 @@ def guess_roles(seen: Sequence[Seen], board: BoardGuess | None) -> Roles:
     return roles
 
 
-def _sweep(moving: list[Seen], roles: Roles) -> None:
+def _sweep(moving: list[FootageContent], roles: Roles) -> None:
     """The one so called, else the one from most places that no name calls a camera."""
     for s in sorted(
         moving,
@@ -110,7 +113,7 @@ def _sweep(moving: list[Seen], roles: Roles) -> None:
         )
 
 
-def _places(s: Seen) -> float:
+def _places(s: FootageContent) -> float:
     """From about how many places the scene is seen: a walk passes two a second, whatever the frame rate."""
     return (
         min(float(s.look.count), PLACES_A_SECOND * s.look.duration_s)
@@ -119,7 +122,7 @@ def _places(s: Seen) -> float:
     )
 
 
-def _camera(s: Seen, roles: Roles) -> None:
+def _camera(s: FootageContent, roles: Roles) -> None:
     name = camera_name(s.name, set(roles.fixed))
     (roles.tests if s.called == "test" else roles.cameras)[name] = s
     stands = "the camera stands" if s.steady.stands else "too little to see to tell whether it stands"
@@ -128,7 +131,7 @@ def _camera(s: Seen, roles: Roles) -> None:
     )
 
 
-def _fault(s: Seen) -> str | None:
+def _fault(s: FootageContent) -> str | None:
     if s.look.black:
         return "black: a lens cap, or no light; film again"
     if s.look.projection is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from devrf.calibration.boards.spec import BoardSpec
 from devrf.pipelines import config
-from devrf.pipelines.init.material import Roles, Seen
+from devrf.pipelines.init.material import FootageContent, Roles
 
 PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")  # what YAML reads as text without quotes ...
 WORDS = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))  # ... but for these
@@ -81,7 +81,7 @@ def _board(spec: BoardSpec, metric: bool) -> Iterator[str]:
         yield f"    separation_m: {1 - share:.2f}   # gap between markers, in proportion as seen"
 
 
-def _clips(key: str, clips: dict[str, Seen], comment: str) -> list[str]:
+def _clips(key: str, clips: dict[str, FootageContent], comment: str) -> list[str]:
     lines = [f"    {_text(name)}: {_text(s.name)}" for name, s in clips.items()]
     return [f"  {key}:   # {comment}", *lines] if clips else []
 

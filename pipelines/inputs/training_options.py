@@ -7,10 +7,10 @@ from devrf.capture.scene import Scene
 from devrf.pipelines.config.scene import SceneConfig
 
 if TYPE_CHECKING:
-    from devrf.reconstruct.options import Options
+    from devrf.reconstruct.options import TrainingOptions
 
 
-def training_options(config: SceneConfig, scene: Scene) -> "Options":
+def training_options(config: SceneConfig, scene: Scene) -> "TrainingOptions":
     """The preset, for such a scene, with what the file overrides."""
     from devrf.reconstruct.options import Overrides, preset
 

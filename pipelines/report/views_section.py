@@ -16,7 +16,7 @@ MAX_MOVING, MAX_STILL, MAX_STATIC = 12, 4, 8  # frames inside the page; the othe
 
 
 @dataclass(frozen=True)
-class View:
+class ViewEntry:
     """One test view: its place in a list of evaluate/metrics.json, and the entry there."""
 
     place: int
@@ -30,11 +30,13 @@ class View:
         return self.row.get("time") if time_s is None else time_s
 
 
-def collect_views(metrics: dict[str, Any]) -> tuple[list[View], list[View]]:
+def collect_views(metrics: dict[str, Any]) -> tuple[list[ViewEntry], list[ViewEntry]]:
     """Views of the moving scene, by camera and time, and of the scene at rest."""
     rows = metrics.get("per_view")
     views = [
-        View(n, row) for n, row in enumerate(rows if isinstance(rows, list) else []) if isinstance(row, dict)
+        ViewEntry(n, row)
+        for n, row in enumerate(rows if isinstance(rows, list) else [])
+        if isinstance(row, dict)
     ]
     moving = [v for v in views if v.row.get("time") is not None]
     moving.sort(key=lambda v: (str(v.row.get("camera")), v.row["time"]))
@@ -44,7 +46,9 @@ def collect_views(metrics: dict[str, Any]) -> tuple[list[View], list[View]]:
 def views(run: RunFolder) -> dict[str, Any]:
     """Test views over time and held-out sweep pictures: of each a chart, and the pictures of some frames."""
     moving, static = collect_views(run.object(METRICS))
-    stands = [View(n, row, "still_pictures") for n, row in enumerate(run.objects(METRICS, "still_pictures"))]
+    stands = [
+        ViewEntry(n, row, "still_pictures") for n, row in enumerate(run.objects(METRICS, "still_pictures"))
+    ]
     groups = []
     for title, found, most, chart in (
         ("Test views over time", moving, MAX_MOVING, _over_time(moving)),
@@ -71,7 +75,7 @@ def _by_which_clock(camera: str, clock: dict[str, Any]) -> str:
     return f"{camera} is shown by its clock as it was calibrated, which is not known well ({said})"
 
 
-def _over_time(views: Sequence[View]) -> Chart | None:
+def _over_time(views: Sequence[ViewEntry]) -> Chart | None:
     series = []
     for n, camera in enumerate(list(dict.fromkeys(str(v.row.get("camera")) for v in views))[: COLOURS // 2]):
         mine = [v for v in views if str(v.row.get("camera")) == camera]
@@ -86,7 +90,7 @@ def _over_time(views: Sequence[View]) -> Chart | None:
     return line_chart(series, ("time, s" if in_s else "time (0 to 1)", "PSNR, dB"))
 
 
-def _frame(run: RunFolder, view: View, several: bool) -> dict[str, Any] | None:
+def _frame(run: RunFolder, view: ViewEntry, several: bool) -> dict[str, Any] | None:
     """A view's pictures and its names; None where pictures are missing. Smaller ones where there is less room."""
     row, folder = view.row, run.folder("evaluate")
     found = {kind: read_picture(folder / row[kind]) for kind in WIDTHS if isinstance(row.get(kind), str)}

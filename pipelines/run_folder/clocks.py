@@ -10,7 +10,7 @@ from devrf.calibration.clocks.equations import Clock
 from devrf.capture.system.durable import read_json, read_object
 
 if TYPE_CHECKING:  # they bring OpenCV, which reading clocks does not need
-    from devrf.calibration.clocks.cues import Curve
+    from devrf.calibration.clocks.cues import LagCurve
     from devrf.calibration.clocks.geometry import PairCheck
 
 SURE_S = 5e-3  # standard deviation of a clock that is good to measure by: those by sound are better
@@ -21,7 +21,7 @@ def clock_dict(clock: Clock) -> dict[str, Any]:
     return asdict(clock) | {"std_s": clock.std_s if math.isfinite(clock.std_s) else None}
 
 
-def curve_dict(curve: "Curve | PairCheck") -> dict[str, Any]:
+def curve_dict(curve: "LagCurve | PairCheck") -> dict[str, Any]:
     """How well clips agree at each lag, as `curves.json` and `clock_check.json` have it."""
     lags_s, values = curve.lags_s.tolist(), curve.values.tolist()
     rounded = {"lags_s": [round(x, 6) for x in lags_s], "values": [round(x, 5) for x in values]}

@@ -17,7 +17,7 @@ from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import read_static_poses
 from devrf.capture.colour.correction import Look, as_matrix
 from devrf.capture.colour.light_course import LightCourse
-from devrf.capture.frames import SWEEP, Filmed, FrameSet
+from devrf.capture.frames import SWEEP, FrameSet, PictureFile
 from devrf.capture.photos.picture_files import read_pixels
 from devrf.pipelines.health.colour_rows import colour_measures
 from devrf.pipelines.run_folder.clocks import read_clocks
@@ -130,7 +130,7 @@ class _Job:
             self.context.progress(0.2 + 0.8 * n / len(moments), f"what cameras share at {time_s:.1f} s")
             yield {name: self._view(name, shown[name][k]) for name, k in zip(times, frames, strict=True)}
 
-    def _view(self, name: str, frame: Filmed) -> View:
+    def _view(self, name: str, frame: PictureFile) -> View:
         look = self.base.before_matching(name, frame.index)
         rgb = look.apply(read_pixels(frame.file)[..., :3])
         return View(self.rig.cameras[name].camera, rgb)

@@ -22,7 +22,7 @@ from devrf.pipelines.viewer.own_address import Address, only_own_pages
 from devrf.pipelines.viewer.progressive import FINER, FIRST, at_most, in_time
 from devrf.pipelines.viewer.run_status import standing
 from devrf.pipelines.viewer.scene_widgets import furnish
-from devrf.pipelines.viewer.source import Found, Loaded, load, look
+from devrf.pipelines.viewer.source import Loaded, RunVersions, load, look
 from devrf.pipelines.viewer.views import first_camera, follow, look_through, middle, seen_by
 from devrf.pipelines.viewer.visitors import Visitors
 from devrf.reconstruct.rendering.model import DynamicModel, render_layers
@@ -65,7 +65,7 @@ class Site:
         self._some: tuple[DynamicModel, str, DynamicModel] | None = None  # of which model, what, and that
         self._groups: dict[str, viser.FrameHandle] = {}
         self.loaded = Loaded()
-        self._unreadable: Found | None = None  # what could not be read at the last look
+        self._unreadable: RunVersions | None = None  # what could not be read at the last look
         self._wrong: dict[str, str] = {}  # why it could not, and why the last picture could not be rendered
         rich.get_console().quiet = True  # where viser speaks, whatever it is told
         # visitors may leave at any time
@@ -195,7 +195,7 @@ class Site:
         except Exception:  # of one look; the next one may find what it needs
             logger.exception("the run folder could not be looked at")
 
-    def _read(self, found: Found) -> None:
+    def _read(self, found: RunVersions) -> None:
         """Read what was found, or at least where it stands, and show it."""
         before = self.loaded
         self._unreadable = None
@@ -205,9 +205,9 @@ class Site:
         except DevrfError as error:
             logger.info("%s", error)
             self._unreadable, self._wrong["not readable"] = found, str(error)
-            if before.scene is not None or found == Found(found.scene):
+            if before.scene is not None or found == RunVersions(found.scene):
                 return
-            self.loaded = load(self._run_dir, Found(found.scene), self._device)
+            self.loaded = load(self._run_dir, RunVersions(found.scene), self._device)
         self._controls.renew(self.loaded)
         scene = self.loaded.scene
         if scene is not None and found.scene != before.found.scene:

@@ -27,7 +27,7 @@ CHUNK_CPU = 1 << 12  # rays between two looks at what is wanted
 
 
 @dataclass(frozen=True)
-class Found:
+class RunVersions:
     """Versions of what is there; None: not there.
 
     Attributes:
@@ -52,12 +52,12 @@ class Loaded:
         model: None where there is none yet.
     """
 
-    found: Found = Found()
+    found: RunVersions = RunVersions()
     scene: Scene | None = None
     model: DynamicModel | None = None
 
 
-def look(run_dir: Path) -> Found:
+def look(run_dir: Path) -> RunVersions:
     """What is there now. Beside a finished model only the training of a run at work counts."""
     scene, rest, motion = (stamp_id(run_dir / stage) for stage in ("scene", "canonical", "deformation"))
     made_of = (read_stamp(run_dir / "deformation") or {}).get("identity", {}).get("reads", {})
@@ -67,13 +67,13 @@ def look(run_dir: Path) -> Found:
     for stage, made in (("canonical", rest), ("deformation", motion)):
         checkpoint = checkpoint_path(run_dir, stage)
         if (working or made is None) and checkpoint.is_file():
-            return Found(scene, rest, None, (stage, checkpoint.stat().st_mtime_ns))
+            return RunVersions(scene, rest, None, (stage, checkpoint.stat().st_mtime_ns))
         if made is None:
             break
-    return Found(scene, rest, motion)
+    return RunVersions(scene, rest, motion)
 
 
-def load(run_dir: Path, found: Found, device: str) -> Loaded:
+def load(run_dir: Path, found: RunVersions, device: str) -> Loaded:
     """Read what was found.
 
     Raises:

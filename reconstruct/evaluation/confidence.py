@@ -50,7 +50,7 @@ class Witness:
 
 
 @dataclass(frozen=True)
-class Seen:
+class VisibilityMaps:
     """Who sees what every second pixel of a picture shows, as maps of these pixels.
 
     Attributes:
@@ -122,7 +122,7 @@ class Witnesses:
         witnesses = self.sweep + [w for clip in self.fixed.values() for w in clip]
         self._pixel_rad = float(np.median([w.pixel_rad for w in witnesses]))
 
-    def seen(self, camera: Camera, time: float | None) -> Seen:
+    def seen(self, camera: Camera, time: float | None) -> VisibilityMaps:
         """Who sees what a camera in the box frame shows at a time in [0, 1]; None: the scene at rest."""
         _, depth, opacity = render_layers(self.model, camera, time)
         rows, columns = (np.minimum(np.arange(0, n, STRIDE) + STRIDE // 2, n - 1) for n in opacity.shape)
@@ -134,7 +134,9 @@ class Witnesses:
         moves = np.linalg.norm(now - rest, axis=1) > self._pixel_rad * away[:, 0]
         in_sweep = _sightings([(w, rest) for w in self.sweep], len(now))
         in_motion = _sightings(self._in_motion(now, time), len(now))
-        return Seen(solid, *(values.reshape(solid.shape) for values in (moves, in_sweep, in_motion)))
+        return VisibilityMaps(
+            solid, *(values.reshape(solid.shape) for values in (moves, in_sweep, in_motion))
+        )
 
     def _in_motion(
         self, now: Float[np.ndarray, "n 3"], time: float | None

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from devrf.reconstruct.evaluation.left_out import LeftOut
 from devrf.reconstruct.evaluation.paired import Gain, gain_within_clips
-from devrf.reconstruct.rendering.model import DynamicModel, Rendered, Seen
+from devrf.reconstruct.rendering.model import DynamicModel, RayColours, Rendered
 from devrf.reconstruct.rendering.pixel_background import PixelSurroundings
 from devrf.reconstruct.rendering.rays import RayBatch, RaySet
 from devrf.reconstruct.sampling.moving_pictures import MovingPictures
@@ -94,7 +94,7 @@ def errors_of(
     rays: RaySet,
     left_out: LeftOut,
     around: PixelSurroundings,
-    box: Callable[[RayBatch], Rendered | Seen],
+    box: Callable[[RayBatch], Rendered | RayColours],
 ) -> Errors:
     """Errors of the pictures that `left_out` asks.
 

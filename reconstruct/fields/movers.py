@@ -20,7 +20,7 @@ from torch import Tensor
 from devrf.reconstruct.fields.canonical import EMPTY, Canonical
 from devrf.reconstruct.fields.grids import grown, vertices
 from devrf.reconstruct.fields.shading import Shading
-from devrf.reconstruct.kernels.layers import Packed, Turned
+from devrf.reconstruct.kernels.layers import PackedVolumes, Turned
 from devrf.reconstruct.kernels.march import Volume
 from devrf.reconstruct.kernels.occupancy import REACH, distance
 
@@ -86,7 +86,7 @@ class Movers:
     shifts: Float[Tensor, "T M 3"]
     shading: Shading | None = None
     stretches: Float[Tensor, "T M 3 3"] | None = None
-    _packed: Packed | None = field(default=None, repr=False)
+    _packed: PackedVolumes | None = field(default=None, repr=False)
     _middles: np.ndarray | None = field(default=None, repr=False)
     _distances: list[tuple[Tensor, Tensor]] | None = field(default=None, repr=False)
 
@@ -160,12 +160,12 @@ class Movers:
             self._distances = [_distance(self.labels == m + 1) for m in range(self.parts)]
         return self._distances
 
-    def packed(self) -> Packed:
+    def packed(self) -> PackedVolumes:
         """What the march needs to know of the parts: of each its own voxels and those next to them."""
         if self._packed is None:
             found = {m: _volume(self.canonical, self.labels == m) for m in range(1, self.parts + 1)}
             kept = {m: volume for m, volume in found.items() if volume is not None}
-            self._packed = Packed.of(kept, self.labels.device)
+            self._packed = PackedVolumes.of(kept, self.labels.device)
         return self._packed
 
     def changed(self) -> None:

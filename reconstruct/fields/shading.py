@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from devrf.reconstruct.kernels.composite_layers import Light
+from devrf.reconstruct.kernels.composite_layers import ShadingGrid
 
 LONGEST, LEAST = 33, 4  # cells along the longest side; along the shortest
 KEYS = 14  # moments, of motion that is no longer than the numbers of training are meant for
@@ -65,9 +65,9 @@ class Shading(torch.nn.Module):
         corners = self.grid.reshape(-1).gather(0, (base[:, None] + self._corners).reshape(-1))
         return (weights * corners.reshape(-1, 16)).sum(1)
 
-    def light(self, times: Float[Tensor, " F"]) -> Light:
+    def light(self, times: Float[Tensor, " F"]) -> ShadingGrid:
         """The same for whole pictures."""
-        return Light(self.grid, self.aabb, self._share(times).clamp(0, 1) * (self.grid.shape[1] - 1))
+        return ShadingGrid(self.grid, self.aabb, self._share(times).clamp(0, 1) * (self.grid.shape[1] - 1))
 
     def _share(self, time: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
         """How much of its span is behind."""

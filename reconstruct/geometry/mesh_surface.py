@@ -28,7 +28,7 @@ March = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
-class Surface:
+class SurfaceMesh:
     """A mesh.
 
     Attributes:
@@ -44,7 +44,7 @@ class Surface:
     crumbs: int
 
 
-def surface_of(field: Field, level: float, march: March) -> Surface:
+def surface_of(field: Field, level: float, march: March) -> SurfaceMesh:
     """The surface at a field's time.
 
     Raises:
@@ -60,20 +60,20 @@ def surface_of(field: Field, level: float, march: March) -> Surface:
     lo, span = field.aabb[0].numpy(), (field.aabb[1] - field.aabb[0]).numpy()
     place = torch.from_numpy((lo + vertices / (np.array(grid.shape) - 1) * span).astype(np.float32))
     place = place.to(field.canonical.density.device)
-    return Surface(place, _box(field, place), faces, crumbs)
+    return SurfaceMesh(place, _box(field, place), faces, crumbs)
 
 
-def moved(surface: Surface, field: Field) -> Float[np.ndarray, "v 3"]:
+def moved(surface: SurfaceMesh, field: Field) -> Float[np.ndarray, "v 3"]:
     """Where the vertices of a surface at rest are at a field's time, in the box frame (forward motion)."""
     return np.concatenate([_box(field, field.from_rest(x)) for x in surface.x.split(AT_ONCE)])
 
 
-def rested(surface: Surface, field: Field) -> Float[np.ndarray, "v 3"]:
+def rested(surface: SurfaceMesh, field: Field) -> Float[np.ndarray, "v 3"]:
     """Where the vertices of a surface at a field's time rest, in the box frame (backward motion)."""
     return np.concatenate([_box(field, field.to_rest(x)) for x in surface.x.split(AT_ONCE)])
 
 
-def coloured(views: Sequence[SeenView], surface: Surface, field: Field) -> Float[np.ndarray, "v 3"]:
+def coloured(views: Sequence[SeenView], surface: SurfaceMesh, field: Field) -> Float[np.ndarray, "v 3"]:
     """Colours in [0, 1] of a surface at a field's time.
 
     Args:

@@ -21,7 +21,7 @@ from devrf.reconstruct.kernels.background import sigmoid
 from devrf.reconstruct.kernels.launch import array, box_arguments, launch
 from devrf.reconstruct.kernels.layers import (
     Marched,
-    Packed,
+    PackedVolumes,
     Turned,
     corners_and_scale,
     density_at,
@@ -33,7 +33,7 @@ from devrf.reconstruct.kernels.march import Volume, alpha_of
 from devrf.reconstruct.kernels.trilinear import cell_of, dotted_slope, fraction_in, look_up, scatter, slope_of
 
 
-class Light(NamedTuple):
+class ShadingGrid(NamedTuple):
     """How brightness changes (`shading.py`): its grid and box, and where among its moments each picture is."""
 
     grid: Float[Tensor, "2 T X Y Z"]
@@ -70,10 +70,10 @@ class Drawn(NamedTuple):
 
 def composite_layers(
     stands: Volume,
-    parts: Packed,
+    parts: PackedVolumes,
     turned: Turned,
     fields: Fields,
-    light: Light | None,
+    light: ShadingGrid | None,
     rays_o: Float[Tensor, "R 3"],
     rays_d: Float[Tensor, "R 3"],
     near: float,
@@ -143,7 +143,7 @@ class _Composited(torch.autograd.Function):
         return back_grad, shifts_grad, light_grad, *(into if grads is None else (None,) * 4), None
 
 
-def _shown(light: Light | None, like: Tensor) -> tuple[Tensor, list[Any]]:
+def _shown(light: ShadingGrid | None, like: Tensor) -> tuple[Tensor, list[Any]]:
     """Moments of pictures, and what kernels need to know of the grid of brightness."""
     if light is None:
         return like.new_zeros(1), [wp.vec4(), wp.vec3(), wp.vec3()]

@@ -46,7 +46,7 @@ class Turned(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Packed:
+class PackedVolumes:
     """Volumes of parts one behind the other in memory, to be marched through in one launch.
 
     Attributes:
@@ -69,7 +69,7 @@ class Packed:
     names: Int[Tensor, " V"]
 
     @staticmethod
-    def of(volumes: Mapping[int, Volume], device: torch.device) -> "Packed":
+    def of(volumes: Mapping[int, Volume], device: torch.device) -> "PackedVolumes":
         """Copy volumes together."""
         kept = list(volumes.values())
         shapes = [tuple(v.density.shape) for v in kept]
@@ -78,7 +78,7 @@ class Packed:
         def sent(values: list[Any], kind: torch.dtype, *shape: int) -> Tensor:
             return torch.tensor(values, dtype=kind).reshape(-1, *shape).to(device)
 
-        return Packed(
+        return PackedVolumes(
             volumes,
             torch.cat([torch.zeros(0, device=device), *(v.density.reshape(-1) for v in kept)]),
             torch.cat(
@@ -137,7 +137,7 @@ class LayerSamples(NamedTuple):
 @torch.no_grad()
 def march_layers(
     stands: Volume,
-    parts: Packed,
+    parts: PackedVolumes,
     turned: Turned,
     rays_o: Float[Tensor, "R 3"],
     rays_d: Float[Tensor, "R 3"],
@@ -170,7 +170,13 @@ def march_layers(
 
 @torch.no_grad()
 def march_layers_ref(
-    stands: Volume, parts: Packed, turned: Turned, rays_o: Tensor, rays_d: Tensor, near: float, jitter: Tensor
+    stands: Volume,
+    parts: PackedVolumes,
+    turned: Turned,
+    rays_o: Tensor,
+    rays_d: Tensor,
+    near: float,
+    jitter: Tensor,
 ) -> LayerSamples:
     """The same, volume by volume; all samples are kept."""
     found = [(0, stands, rays_o, rays_d)]
@@ -203,7 +209,13 @@ class Marched(NamedTuple):
 
 @torch.no_grad()
 def marched(
-    stands: Volume, parts: Packed, turned: Turned, rays_o: Tensor, rays_d: Tensor, near: float, jitter: Tensor
+    stands: Volume,
+    parts: PackedVolumes,
+    turned: Turned,
+    rays_o: Tensor,
+    rays_d: Tensor,
+    near: float,
+    jitter: Tensor,
 ) -> Marched:
     """Distances and parts of the samples of each ray, sample by sample: what is not needed is never touched."""
     R, device = len(rays_o), rays_o.device

@@ -13,7 +13,7 @@ from devrf.reconstruct.kernels.composite_layers import Drawn, Fields, composite_
 from devrf.reconstruct.kernels.launch import use_warp
 from devrf.reconstruct.kernels.layers import march_layers
 from devrf.reconstruct.rendering.rays import Rays
-from devrf.reconstruct.rendering.render import FAINT, Seen
+from devrf.reconstruct.rendering.render import FAINT, RayColours
 
 COUNTS = 1e-3  # weight from which a sample has a colour
 
@@ -103,10 +103,10 @@ def render_layered(
 @torch.no_grad()
 def draw_layered(
     stands: Canonical, movers: Movers, placed: Placed, rays: Rays, counts_from: float = COUNTS
-) -> Seen:
+) -> RayColours:
     """The same for pictures, without gradients."""
     seen = render_layered(stands, movers, placed, rays, counts_from=counts_from)
-    return Seen(seen.rgb, seen.left, seen.depth)
+    return RayColours(seen.rgb, seen.left, seen.depth)
 
 
 def _seen(stands: Canonical, drawn: Drawn, rays_d: Tensor) -> Float[Tensor, "R 3"]:

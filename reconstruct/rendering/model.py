@@ -30,8 +30,8 @@ from devrf.reconstruct.options import CHUNK
 from devrf.reconstruct.rendering.layered import draw_layered
 from devrf.reconstruct.rendering.rays import Rays, camera_rays
 from devrf.reconstruct.rendering.render import (
+    RayColours,
     Rendered,
-    Seen,
     distances,
     plain_of,
     points_on,
@@ -156,16 +156,16 @@ class DynamicModel:
 
     def box_at(
         self, rays_o: Float[Tensor, "R 3"], rays_d: Float[Tensor, "R 3"], times: Float[Tensor, " R"]
-    ) -> Seen:
+    ) -> RayColours:
         """What rays see in the box, each at its own time in [0, 1]; `chunk` at a time."""
         rgb, left, depth = torch.zeros_like(rays_o), torch.ones_like(times), torch.zeros_like(times)
         for part, seen in self._parts_at(rays_o, rays_d, times):
             rgb[part], left[part], depth[part] = seen.rgb, seen.left, seen.depth
-        return Seen(rgb, left, depth)
+        return RayColours(rgb, left, depth)
 
     def _parts_at(
         self, rays_o: Tensor, rays_d: Tensor, times: Tensor
-    ) -> Iterator[tuple[Tensor, Seen | Moved]]:
+    ) -> Iterator[tuple[Tensor, RayColours | Moved]]:
         """Numbers of some of the rays, and what they see."""
         if self.movers is not None:
             moments, frame = times.unique(return_inverse=True)
@@ -380,7 +380,7 @@ def _layers(
     return picture.cpu().numpy(), depth.reshape(size).cpu().numpy(), (1 - left).reshape(size).cpu().numpy()
 
 
-def _layered(model: DynamicModel, placed: Placed, rays: Rays) -> Seen:
+def _layered(model: DynamicModel, placed: Placed, rays: Rays) -> RayColours:
     """Rays through what stands and what moves, each at the time of its picture."""
     assert model.in_motion is not None and model.movers is not None
     return draw_layered(model.in_motion.canonical, model.movers, placed, rays)

@@ -57,7 +57,7 @@ class Rendered:
     shell_per_point: Float[Tensor, " R"]
 
 
-class Seen(NamedTuple):
+class RayColours(NamedTuple):
     """What rays see in the box: its colour, the light that it lets through, weighted distance."""
 
     rgb: Float[Tensor, "R 3"]

@@ -20,7 +20,7 @@ from devrf.capture.system.progress import Progress, no_progress
 from devrf.reconstruct.kernels.splat import splat
 from devrf.reconstruct.rendering.model import DynamicModel
 from devrf.reconstruct.splats.gaussians import Gaussians, flattened, pixel_sizes, tiles_of
-from devrf.reconstruct.splats.looks import Look
+from devrf.reconstruct.splats.looks import ModelView
 from devrf.reconstruct.splats.moving import Nodes, moved
 
 SEED = 0  # of the order of pictures
@@ -37,7 +37,7 @@ CUT = 0.6  # of the longest standard deviation: how far the halves lie from the 
 def fit(
     model: DynamicModel,
     start: tuple[Gaussians, Nodes | None],
-    looks: Sequence[Look],
+    looks: Sequence[ModelView],
     behind: Float[Tensor, " 3"],
     rounds: int,
     progress: Progress = no_progress,
@@ -98,7 +98,7 @@ class _Learned:
     def places(self) -> Tensor:
         return self.start + self.unit * self.leaves["places"]
 
-    def step(self, model: DynamicModel, look: Look, number: int, behind: Tensor) -> None:
+    def step(self, model: DynamicModel, look: ModelView, number: int, behind: Tensor) -> None:
         """Gradients of one picture's mean absolute difference."""
         places = self.places()
         now = Gaussians(**{**self.leaves, "places": places})

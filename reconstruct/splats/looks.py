@@ -38,7 +38,7 @@ EDGE = 2.2  # half size of the cube that places in contracted space are coded in
 
 
 @dataclass(frozen=True)
-class Look:
+class ModelView:
     """A picture of the model.
 
     Attributes:
@@ -53,7 +53,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class PlacedLook(Look):
+class PlacedView(ModelView):
     """A picture of the model at rest, and where its pixels lie.
 
     Attributes:
@@ -67,7 +67,7 @@ class PlacedLook(Look):
 
 def look_around(
     scene: Scene, model: DynamicModel, progress: Progress = no_progress
-) -> tuple[list[PlacedLook], list[Look]]:
+) -> tuple[list[PlacedView], list[ModelView]]:
     """Pictures of the scene at rest from the sweep's poses, and others, in motion where there is some.
 
     Args:
@@ -84,7 +84,7 @@ def look_around(
             placed.append(look(still, pose, at_rest, coded))
         else:
             picture = torch.from_numpy(render_view(model, *pose)).to(model.rest.canonical.density.device)
-            others.append(Look(*pose, picture))
+            others.append(ModelView(*pose, picture))
         count = len(poses) + len(moments)
         progress((n + 1) / count, f"looking: {n + 1} of {count} pictures")
     return placed, others
@@ -125,7 +125,7 @@ def rest_time(motion: MotionField) -> float | None:
 
 
 @torch.no_grad()
-def look(model: DynamicModel, camera: Camera, time: float | None, coded: Shell | None) -> PlacedLook:
+def look(model: DynamicModel, camera: Camera, time: float | None, coded: Shell | None) -> PlacedView:
     """A picture of what rests at a time, and where its pixels lie: in the box where it is solid, else in the
     surroundings (`coded_shell`)."""
     device = str(model.rest.canonical.density.device)
@@ -139,7 +139,7 @@ def look(model: DynamicModel, camera: Camera, time: float | None, coded: Shell |
         points = torch.where(is_body[..., None], points, back.reshape(size))
         hidden = (left < 1 - SOLID).reshape(size[:2])
         points, is_body = torch.where(hidden[..., None], front.reshape(size), points), is_body & ~hidden
-    return PlacedLook(camera, None, torch.from_numpy(view.picture).to(device), points, is_body)
+    return PlacedView(camera, None, torch.from_numpy(view.picture).to(device), points, is_body)
 
 
 def coded_shell(shell: Shell) -> Shell:

@@ -27,7 +27,7 @@ NODE_BYTES = 28  # of a node and a key time
 
 
 @dataclass(frozen=True)
-class Packed:
+class PackedSplats:
     """Splats as a page carries them.
 
     Attributes:
@@ -39,7 +39,7 @@ class Packed:
     data: bytes
 
 
-def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None = None) -> Packed:
+def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None = None) -> PackedSplats:
     """Pack splats.
 
     Args:
@@ -76,7 +76,7 @@ def pack(gaussians: Gaussians, ways: Float[Tensor, "K M 3"], nodes: Nodes | None
             "nodes": courses.shape[1],
             "swept": _swept(places[:moving], mine, courses[..., 4:].numpy(force=True)),
         }
-    return Packed(about, zlib.compress(b"".join(part.tobytes() for part in parts), DEFLATE))
+    return PackedSplats(about, zlib.compress(b"".join(part.tobytes() for part in parts), DEFLATE))
 
 
 def _swept(

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from devrf.capture.system.errors import ReconstructError
 from devrf.reconstruct.splats.gaussians import Gaussians, quats_of
-from devrf.reconstruct.splats.looks import PlacedLook
+from devrf.reconstruct.splats.looks import PlacedView
 
 MOST_POINTS = 1_500_000  # pixels that are gathered, over all pictures
 BODY_SHARE = 0.6  # of the Gaussians, where there are surroundings: what people look at
@@ -29,7 +29,7 @@ SEARCH = 12  # halvings of the interval between them
 LEVELS = 2  # sizes of cells per doubling
 
 
-def sample(looks: Sequence[PlacedLook], count: int, seed: int) -> Gaussians:
+def sample(looks: Sequence[PlacedView], count: int, seed: int) -> Gaussians:
     """About `count` Gaussians at rest.
 
     Raises:
@@ -109,7 +109,7 @@ def _well_filled(cell: Int[Tensor, " N"]) -> Bool[Tensor, " cells"]:
     return (places > 1) | (len(cell) < MANY * len(places))
 
 
-def _points(looks: Sequence[PlacedLook], seed: int) -> tuple[Tensor, Tensor, Tensor]:
+def _points(looks: Sequence[PlacedView], seed: int) -> tuple[Tensor, Tensor, Tensor]:
     """Places, colours, and which are the body's, of pixels drawn from all pictures."""
     share = min(1.0, MOST_POINTS / sum(look.is_body.numel() for look in looks))
     generator = torch.Generator().manual_seed(seed)

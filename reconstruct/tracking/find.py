@@ -23,15 +23,15 @@ from devrf.reconstruct.rendering.rays import pixel_directions
 from devrf.reconstruct.sampling.clean_plate import FEWEST_PICTURES, plate, standing_clips
 from devrf.reconstruct.storage.checkpoint import NOWHERE, Checkpoint
 from devrf.reconstruct.storage.training_log import TrainingLog
-from devrf.reconstruct.tracking.follow import Tracks, follow_both_ways
+from devrf.reconstruct.tracking.follow import SurfaceTracks, follow_both_ways
 from devrf.reconstruct.tracking.hidden import fill, hidden_at_rest, labels_of_hidden
 from devrf.reconstruct.tracking.moving_points import moving_points
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS
 from devrf.reconstruct.tracking.rigid import motion_of, rigid_parts
 from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph
-from devrf.reconstruct.tracking.surface import Surface, surface_at_rest, views_at_rest
-from devrf.reconstruct.tracking.views.film import Film, films
+from devrf.reconstruct.tracking.surface import SurfacePoints, surface_at_rest, views_at_rest
+from devrf.reconstruct.tracking.views.film import CameraFilm, films
 
 FEWEST_POINTS = 60  # that move
 OWN = 5.0  # spacings: voxels farther from every surface point stand
@@ -50,12 +50,12 @@ class AtRest(NamedTuple):
         hidden: Vertices behind surfaces in all views.
     """
 
-    surface: Surface
+    surface: SurfacePoints
     hidden: Bool[Tensor, "X Y Z"]
 
 
 @dataclass(frozen=True)
-class Found:
+class TrackedParts:
     """What was found to move.
 
     Attributes:
@@ -67,14 +67,14 @@ class Found:
         offsets_s: Seconds by which cameras took their pictures later than their clocks say; only where that is clear.
     """
 
-    surface: Surface
-    tracks: Tracks
+    surface: SurfacePoints
+    tracks: SurfaceTracks
     labels: Int[np.ndarray, " p"]
     stands: Canonical
     movers: Movers
     offsets_s: dict[str, float]
 
-    def softened(self) -> "Found":
+    def softened(self) -> "TrackedParts":
         """The same, but parts may also stretch."""
         voxel = self.movers.canonical.voxel
         motions = [
@@ -135,7 +135,7 @@ def find_movers(
     progress: Progress = no_progress,
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
-) -> tuple[Found | None, list[Decision]]:
+) -> tuple[TrackedParts | None, list[Decision]]:
     """Rigid parts and their motion, None where too little moves; and what was decided.
 
     Args:
@@ -186,8 +186,8 @@ def parts_of(
     seen: AtRest,
     moves: Bool[np.ndarray, " n"],
     graph: Graph,
-    tracks: Tracks,
-) -> Found | None:
+    tracks: SurfaceTracks,
+) -> TrackedParts | None:
     """Rigid parts that explain tracks of the points that move, by a graph of these; None where too few go anywhere."""
     moving, voxel = graph.surface, rest.canonical.voxel
     when = _while_moving(tracks, moving, voxel)
@@ -202,7 +202,7 @@ def parts_of(
     span_s = scene.t1_s - scene.t0_s
     movers = movers_of(rest.canonical, region, seen.hidden, moving, tracks, labels)
     offsets = zip(standing_clips(scene), tracks.offsets.tolist(), strict=True)
-    return Found(
+    return TrackedParts(
         moving,
         tracks,
         labels,
@@ -216,8 +216,8 @@ def movers_of(
     canonical: Canonical,
     region: Bool[Tensor, "X Y Z"],
     hidden: Bool[Tensor, "X Y Z"],
-    surface: Surface,
-    tracks: Tracks,
+    surface: SurfacePoints,
+    tracks: SurfaceTracks,
     labels: Int[np.ndarray, " p"],
 ) -> Movers:
     """Parts with the rigid motions that explain their points' tracks: the region's vertices, and hidden ones."""
@@ -235,7 +235,7 @@ def movers_of(
 
 
 def _each_part(
-    surface: Surface, tracks: Tracks, labels: Int[np.ndarray, " p"]
+    surface: SurfacePoints, tracks: SurfaceTracks, labels: Int[np.ndarray, " p"]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Of each part its points at rest, where they are, and when they are lost."""
     for m in range(labels.max() + 1):
@@ -243,7 +243,9 @@ def _each_part(
         yield surface.xyz[mine], tracks.xyz[:, mine].astype(float), tracks.lost[:, mine]
 
 
-def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[Tensor, "X Y Z"]:
+def _region(
+    canonical: Canonical, surface: SurfacePoints, moves: Bool[np.ndarray, " n"]
+) -> Bool[Tensor, "X Y Z"]:
     """Vertices near the surface whose nearest point moves."""
     near = canonical.distance <= 1
     places = vertices(canonical.aabb, canonical.shape)[near.cpu()].numpy()
@@ -253,7 +255,7 @@ def _region(canonical: Canonical, surface: Surface, moves: Bool[np.ndarray, " n"
     return region
 
 
-def _with_what_stands(scene: Scene, film: Film, stands: RestModel) -> Film:
+def _with_what_stands(scene: Scene, film: CameraFilm, stands: RestModel) -> CameraFilm:
     """The film with its depth and its plate: where nothing changes, what it shows; elsewhere the model's picture."""
     picture, depth, opacity = render_layers(DynamicModel(stands), film.camera, None)
     axis = film.camera.cam_from_world[2, :3]
@@ -264,7 +266,7 @@ def _with_what_stands(scene: Scene, film: Film, stands: RestModel) -> Film:
 
 
 def _that_move(
-    surface: Surface, tracks: Tracks, labels: Int[np.ndarray, " p"], voxel: float
+    surface: SurfacePoints, tracks: SurfaceTracks, labels: Int[np.ndarray, " p"], voxel: float
 ) -> tuple[Bool[np.ndarray, " p"], Int[np.ndarray, " k"]]:
     """Points of parts that go anywhere, and their parts, counted anew; the others stand, whatever changed there."""
     farthest = np.linalg.norm(tracks.xyz - surface.xyz, axis=-1).max(0)
@@ -273,7 +275,7 @@ def _that_move(
     return kept, np.unique(labels[kept], return_inverse=True)[1]
 
 
-def _while_moving(tracks: Tracks, surface: Surface, voxel: float) -> Bool[np.ndarray, " t"]:
+def _while_moving(tracks: SurfaceTracks, surface: SurfacePoints, voxel: float) -> Bool[np.ndarray, " t"]:
     """Moments at which something has moved; all where nothing ever has."""
     away = np.linalg.norm(tracks.xyz - surface.xyz, axis=-1)
     moved = np.percentile(away, 100 * (1 - MOVING_SHARE), axis=1) > STILL * voxel

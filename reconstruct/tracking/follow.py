@@ -22,7 +22,7 @@ from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.offsets import Offsets, offsets_to_follow
 from devrf.reconstruct.tracking.runs import Runs
 from devrf.reconstruct.tracking.solver.graph import Graph
-from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.views.film import CameraFilm
 
 MOST_AGAIN = 2  # times that everything is followed with other clocks
 SETTLED = 0.05  # of the time between moments: offsets that change by less are known
@@ -32,7 +32,7 @@ MOST_MOMENTS, LONGEST_GAP_S = 300, 0.08
 
 
 @dataclass(frozen=True)
-class Tracks:
+class SurfaceTracks:
     """Where surface points are at moments.
 
     Attributes:
@@ -47,7 +47,7 @@ class Tracks:
     lost: Bool[np.ndarray, "t p"]
     offsets: Float[np.ndarray, " c"]
 
-    def only(self, kept: Bool[np.ndarray, " p"]) -> "Tracks":
+    def only(self, kept: Bool[np.ndarray, " p"]) -> "SurfaceTracks":
         """Of some of the points."""
         return replace(self, xyz=self.xyz[:, kept], lost=self.lost[:, kept])
 
@@ -61,19 +61,19 @@ class _Following(NamedTuple):
         left_out: How well the tracks agree with pictures left out.
     """
 
-    tracks: Tracks
+    tracks: SurfaceTracks
     seen: dict[int, Offsets]
     left_out: CrossValidation
 
 
 def follow_both_ways(
     graph: Graph,
-    films: Sequence[Film],
+    films: Sequence[CameraFilm],
     rest_time: float,
     progress: Callable[[float], object] = lambda share: None,
     checkpoint: Checkpoint = NOWHERE,
     log: TrainingLog | None = None,
-) -> tuple[Tracks, list[Decision]]:
+) -> tuple[SurfaceTracks, list[Decision]]:
     """Follow points from the time of rest to the end and to the beginning of the films.
 
     Where they were followed with other clocks, too, the tracks with which pictures left out agree more, by more than
@@ -115,7 +115,7 @@ class _Task:
     """What is followed, again and again: as `follow_both_ways` takes it; `before`: moments before the time of rest."""
 
     graph: Graph
-    films: Sequence[Film]
+    films: Sequence[CameraFilm]
     times: Float[np.ndarray, " t"]
     before: int
     progress: Callable[[float], object]
@@ -129,7 +129,7 @@ class _Task:
         lost = np.stack([self.graph.points_of(x) for x in (*here.past.lost[:0:-1], *there.past.lost)])
         seen = {1: there.offsets, -1: here.offsets}
         left_out = here.left_out.with_those_of(there.left_out)
-        return _Following(Tracks(self.times, xyz, lost, offsets), seen, left_out)
+        return _Following(SurfaceTracks(self.times, xyz, lost, offsets), seen, left_out)
 
     def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], run: str) -> Follower:
         """To the last moment, or with a negative sign to the first."""
@@ -152,7 +152,7 @@ class _Task:
         return follower
 
 
-def _but_sure_ones(offsets: Float[np.ndarray, " c"], films: Sequence[Film]) -> Float[np.ndarray, " c"]:
+def _but_sure_ones(offsets: Float[np.ndarray, " c"], films: Sequence[CameraFilm]) -> Float[np.ndarray, " c"]:
     """The offsets beside those of films whose clocks are known, which are 0.
 
     What tracks say of clocks is bias more than noise: a person who carries a cube before things that swing moved a
@@ -162,7 +162,7 @@ def _but_sure_ones(offsets: Float[np.ndarray, " c"], films: Sequence[Film]) -> F
     return np.where(sure, 0.0, offsets - np.median(offsets[sure])) if sure.any() else offsets
 
 
-def _moved(films: Sequence[Film], offsets: Float[np.ndarray, " c"]) -> str:
+def _moved(films: Sequence[CameraFilm], offsets: Float[np.ndarray, " c"]) -> str:
     """Which cameras' clocks are moved, and by how much."""
     second = _second(films)
     unit, each = ("", offsets) if np.isinf(second) else (" ms", 1e3 * offsets / second)
@@ -170,7 +170,7 @@ def _moved(films: Sequence[Film], offsets: Float[np.ndarray, " c"]) -> str:
     return ", ".join(f"{name} {late:+.3g}{unit}" for name, late in zip(names, each, strict=True) if late)
 
 
-def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, " t"], int]:
+def moments(films: Sequence[CameraFilm], rest_time: float) -> tuple[Float[np.ndarray, " t"], int]:
     """When points are looked for, and the number of the time of rest among them.
 
     As far apart as the pictures of the film that has most a second, or farther where that were too many.
@@ -185,7 +185,7 @@ def moments(films: Sequence[Film], rest_time: float) -> tuple[Float[np.ndarray, 
     return rest_time + gap * np.arange(-before, after + 1), before
 
 
-def _second(films: Sequence[Film]) -> float:
+def _second(films: Sequence[CameraFilm]) -> float:
     """How long a second is in the scene's time; infinite for a data set whose times are no seconds."""
     longest = max(films, key=lambda film: np.ptp(film.times))
     first_s, last_s = longest.frames[0].time_s, longest.frames[-1].time_s

@@ -18,7 +18,7 @@ from devrf.reconstruct.tracking.pose import Estimate, Shots, believed
 from devrf.reconstruct.tracking.runs import Arrays
 from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.trajectory import Trajectory
-from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.views.film import CameraFilm
 from devrf.reconstruct.tracking.views.sight import Sight
 from devrf.reconstruct.tracking.views.templates import Templates
 
@@ -40,7 +40,7 @@ class Follower:
     def __init__(
         self,
         graph: Graph,
-        films: Sequence[Film],
+        films: Sequence[CameraFilm],
         times: Float[np.ndarray, " t"],
         offsets: Offsets,
         pool: ThreadPoolExecutor,

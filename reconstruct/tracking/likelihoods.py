@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.tracking.views.film import DARK, REFERENCE_SIDE, Film, blurred, sampled
+from devrf.reconstruct.tracking.surface import SurfacePoints
+from devrf.reconstruct.tracking.views.film import DARK, REFERENCE_SIDE, CameraFilm, blurred, sampled
 from devrf.reconstruct.tracking.views.sight import Sight
 
 MOMENTS = 24
@@ -51,7 +51,7 @@ class Likelihoods:
     known: Bool[np.ndarray, "cameras moments n"]
 
 
-def likelihoods(surface: Surface, films: Sequence[Film], rest_time: float) -> Likelihoods:
+def likelihoods(surface: SurfacePoints, films: Sequence[CameraFilm], rest_time: float) -> Likelihoods:
     """Compare pictures of evenly spread moments with those at rest.
 
     Args:
@@ -81,7 +81,7 @@ def likelihoods(surface: Surface, films: Sequence[Film], rest_time: float) -> Li
     return out
 
 
-def _look(film: Film, n: int) -> Look:
+def _look(film: CameraFilm, n: int) -> Look:
     """Of every pixel of a picture."""
     scale = max(film.camera.width, film.camera.height) / REFERENCE_SIDE
     log = np.log(film.picture(n) + DARK)
@@ -93,7 +93,7 @@ def _look(film: Film, n: int) -> Look:
 
 
 def _compared(
-    film: Film, at_rest: Look, pictures: dict[int, Look], at: Float[np.ndarray, "p 2"]
+    film: CameraFilm, at_rest: Look, pictures: dict[int, Look], at: Float[np.ndarray, "p 2"]
 ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
     """Of each picture the logarithms of how likely it is: points there, something else there."""
     apart = np.stack([look - at_rest for look in pictures.values()])
@@ -118,7 +118,7 @@ def _compared(
     return out
 
 
-def _others(film: Film, at_rest: Look, at: Float[np.ndarray, "p 2"]) -> Float32[np.ndarray, "p k 5"]:
+def _others(film: CameraFilm, at_rest: Look, at: Float[np.ndarray, "p 2"]) -> Float32[np.ndarray, "p k 5"]:
     """What something else at each point may look like."""
     rng = np.random.default_rng(0)
     size = np.array([film.camera.width, film.camera.height])

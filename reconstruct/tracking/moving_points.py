@@ -16,8 +16,8 @@ from scipy.spatial import KDTree
 from scipy.special import expit, logsumexp
 
 from devrf.reconstruct.tracking.likelihoods import Likelihoods, likelihoods
-from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.surface import SurfacePoints
+from devrf.reconstruct.tracking.views.film import CameraFilm
 
 ALIKE = 6.0  # moments that tell as much as one that is independent: what lies in the shade stays in it
 GONE = (0.5, 0.7, 0.9)  # shares of the busy time for which what moves may be away
@@ -41,7 +41,9 @@ CRUMB, CRUMB_REACH = 60, 2.5
 UNIT = 1000  # of weights, which are whole numbers in the cut
 
 
-def moving_points(surface: Surface, films: Sequence[Film], rest_time: float) -> Bool[np.ndarray, " n"]:
+def moving_points(
+    surface: SurfacePoints, films: Sequence[CameraFilm], rest_time: float
+) -> Bool[np.ndarray, " n"]:
     """Whether each point moves.
 
     Args:
@@ -92,7 +94,7 @@ def _mixed(share: float | np.ndarray, one: np.ndarray, other: np.ndarray) -> np.
     return np.logaddexp(np.log1p(-share) + one, np.log(share) + other)
 
 
-def _in_planes(surface: Surface, stands: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _in_planes(surface: SurfacePoints, stands: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Points that lie in one of the few planes in which much of the surface stands."""
     rng, left, out = np.random.default_rng(0), stands.copy(), np.zeros_like(stands)
     for _ in range(MOST_PLANES):
@@ -113,7 +115,7 @@ def _in_planes(surface: Surface, stands: Bool[np.ndarray, " n"]) -> Bool[np.ndar
     return out
 
 
-def _links(surface: Surface) -> coo_matrix:
+def _links(surface: SurfacePoints) -> coo_matrix:
     """What it is worth that neighbours agree, in units of the cut."""
     xyz, n = surface.xyz, len(surface)
     distance, near = map(np.asarray, KDTree(xyz).query(xyz, k=NEIGHBOURS + 1))
@@ -130,7 +132,7 @@ def _links(surface: Surface) -> coo_matrix:
     return links.maximum(links.T).tocoo()
 
 
-def _cut(surface: Surface, links: coo_matrix, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _cut(surface: SurfacePoints, links: coo_matrix, votes: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which points move, by votes for motion (above 0) and against it, and by their neighbours."""
     n = len(surface)
     if not (votes > 0).any():
@@ -156,14 +158,14 @@ def _cut(surface: Surface, links: coo_matrix, votes: Float[np.ndarray, " n"]) ->
     return _without_crumbs(surface, moves[:n])
 
 
-def _pieces(surface: Surface, some: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+def _pieces(surface: SurfacePoints, some: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
     """The number of the piece of each of some points, within which they are neighbours."""
     pairs = KDTree(surface.xyz[some]).query_pairs(CRUMB_REACH * surface.spacing, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(some), len(some)))
     return connected_components(links, directed=False)[1]
 
 
-def _without_crumbs(surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _without_crumbs(surface: SurfacePoints, moves: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     moves = moves.copy()
     whole = _sizes(surface, np.arange(len(moves)))
     for label in (True, False):
@@ -173,7 +175,7 @@ def _without_crumbs(surface: Surface, moves: Bool[np.ndarray, " n"]) -> Bool[np.
     return moves
 
 
-def _sizes(surface: Surface, some: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
+def _sizes(surface: SurfacePoints, some: Int[np.ndarray, " k"]) -> Int[np.ndarray, " k"]:
     """How many of some points are in the piece of each."""
     piece = _pieces(surface, some)
     return np.bincount(piece)[piece]

@@ -20,7 +20,7 @@ from devrf.reconstruct.tracking.solver.graph import Graph, Pose
 from devrf.reconstruct.tracking.solver.quadratics import Sum
 from devrf.reconstruct.tracking.solver.solve import step
 from devrf.reconstruct.tracking.trajectory import Trajectory
-from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.views.film import CameraFilm
 from devrf.reconstruct.tracking.views.shot import Shot
 from devrf.reconstruct.tracking.views.templates import Templates
 
@@ -84,7 +84,7 @@ class Shots:
         """Do something with each picture, side by side."""
         list(self.pool.map(do, self.all))
 
-    def _nearest(self, film: Film, time: float) -> int | None:
+    def _nearest(self, film: CameraFilm, time: float) -> int | None:
         return film.nearest(time, self.past.gap / 2 + 1e-9)
 
     def come(self, far: bool = False) -> None:

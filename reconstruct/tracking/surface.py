@@ -17,7 +17,7 @@ OF_SWEEP = 24  # poses of the sweep: by 8 a quarter of the points is missing, on
 
 
 @dataclass(frozen=True)
-class Surface(Cloud):
+class SurfacePoints(Cloud):
     """Surface points at rest.
 
     Attributes:
@@ -30,9 +30,9 @@ class Surface(Cloud):
         """Number of points."""
         return len(self.xyz)
 
-    def only(self, kept: Bool[np.ndarray, " n"]) -> "Surface":
+    def only(self, kept: Bool[np.ndarray, " n"]) -> "SurfacePoints":
         """Some of the points."""
-        return Surface(self.xyz[kept], self.normals[kept], self.rgb[kept], self.spacing)
+        return SurfacePoints(self.xyz[kept], self.normals[kept], self.rgb[kept], self.spacing)
 
 
 def views_at_rest(scene: Scene, rest: RestModel) -> list[SeenView]:
@@ -46,8 +46,8 @@ def views_at_rest(scene: Scene, rest: RestModel) -> list[SeenView]:
     return [look(model, camera, None) for camera in poses(scene, OF_SWEEP)]
 
 
-def surface_at_rest(views: Sequence[SeenView], rest: RestModel) -> Surface:
+def surface_at_rest(views: Sequence[SeenView], rest: RestModel) -> SurfacePoints:
     """The surfaces that these views show."""
     spacing = SPACING * rest.canonical.voxel
     cloud = point_cloud(views, spacing)
-    return Surface(cloud.xyz, cloud.normals, cloud.rgb, spacing)
+    return SurfacePoints(cloud.xyz, cloud.normals, cloud.rgb, spacing)

@@ -18,7 +18,7 @@ from devrf.reconstruct.rendering.model import DynamicModel
 from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.sampling.pictures import clips
 from devrf.reconstruct.storage.training_log import TrainingLog
-from devrf.reconstruct.tracking.find import Found, find_movers, why_not_tracked
+from devrf.reconstruct.tracking.find import TrackedParts, find_movers, why_not_tracked
 from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_movers import train_movers, untrained_errors
 
@@ -121,7 +121,9 @@ def better_of(
     return model, metrics | {"decisions": [*metrics["decisions"], str(decision)]}
 
 
-def _softened(pictures: MovingPictures, found: Found, options: MotionOptions) -> tuple[Found, Decision]:
+def _softened(
+    pictures: MovingPictures, found: TrackedParts, options: MotionOptions
+) -> tuple[TrackedParts, Decision]:
     """What was found, with parts that may stretch where that explains more before training, by more than chance."""
     soft = found.softened()
     motions = [found.movers, soft.movers]

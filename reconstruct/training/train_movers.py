@@ -30,7 +30,7 @@ from devrf.reconstruct.options import MotionOptions, longer
 from devrf.reconstruct.rendering.layered import draw_layered, render_layered
 from devrf.reconstruct.rendering.model import Around, DynamicModel
 from devrf.reconstruct.rendering.rays import RayBatch, Rays, RaySet
-from devrf.reconstruct.rendering.render import Seen
+from devrf.reconstruct.rendering.render import RayColours
 from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.sampling.moving_pixels import draw_with_importance
 from devrf.reconstruct.sampling.pictures import training
@@ -55,7 +55,7 @@ LOG_EVERY = 50
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedParts:
     """What came of it.
 
     Attributes:
@@ -81,7 +81,7 @@ def train_movers(
     options: MotionOptions,
     run: TrainingRun = ON_CPU,
     offsets_s: Mapping[str, float] | None = None,
-) -> Trained:
+) -> TrainedParts:
     """Train for `together` iterations, for more where motion lasts longer than these are meant for.
 
     Args:
@@ -98,7 +98,7 @@ def train_movers(
     recipe = _Recipe(pictures, stands, movers, options, offsets_s or {})
     train(recipe, log, run)
     recipe.finish()
-    return Trained(
+    return TrainedParts(
         replace(pictures.rest, canonical=recipe.stands, shell=None, metrics={}),
         recipe.movers,
         recipe.errors(recipe.movers),
@@ -267,7 +267,7 @@ class _Recipe(Training):
             return errors_of(*asked, lambda some: still.box_at_rest(some.rays_o, some.rays_d))
         placed = movers.placed(self.rays.times)
 
-        def seen(some: RayBatch) -> Seen:
+        def seen(some: RayBatch) -> RayColours:
             rays = Rays.middle(some.rays_o, some.rays_d, self.rest.near, some.frame)
             return draw_layered(self.stands, movers, placed, rays, TRAINS)
 

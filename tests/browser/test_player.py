@@ -16,7 +16,7 @@ from tests.reconstruct.conftest import look_at
 from devrf.capture.camera import Camera
 from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.player import _told
-from devrf.pipelines.export.request import Options
+from devrf.pipelines.export.request import ExportOptions
 from devrf.pipelines.player.page import player_page
 from devrf.pipelines.terminal.console import Talk
 from devrf.reconstruct.kernels.splat import splat
@@ -37,7 +37,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     out = {}
     for name, moves in (("moving", True), ("at rest", False)):
         scene = write_trained(tmp_path_factory.mktemp("ball"), moves=moves)
-        options = Options("player", splats=1500)
+        options = ExportOptions("player", splats=1500)
         out[name] = export(Talk("quiet"), scene.parent / "run", options, TITLE) / "player.html"
     return out
 
@@ -93,7 +93,7 @@ def test_it_shows_what_the_model_shows(page: Any, pages: dict[str, Path]) -> Non
 def test_rigid_parts_turn_as_the_model_does(page: Any, tmp_path: Path) -> None:
     model = moving_parts()
     run = write_trained(tmp_path, model=model).parent / "run"
-    folder = export(Talk("quiet"), run, Options("player", splats=3000, times="0s,1s"))
+    folder = export(Talk("quiet"), run, ExportOptions("player", splats=3000, times="0s,1s"))
     opened(page, folder / "player.html")
     assert page.evaluate("player.about.start") == 1.0  # farthest from where they rest, at 0.375
     seen = {}

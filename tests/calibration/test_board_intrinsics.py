@@ -37,7 +37,7 @@ def test_intrinsics_of_exact_views():
 def test_the_minimum_and_its_doubt_are_opencvs():
     """Same views, same five coefficients: the same rms, intrinsics and, where corners err alone, the same doubt."""
     views = board_views(20, 0.2)
-    ours = calibrate_intrinsics("cam0", views, SPEC, SIZE, terms=FIVE_COEFFICIENTS)
+    ours = calibrate_intrinsics("cam0", views, SPEC, SIZE, lens=FIVE_COEFFICIENTS)
     rms, K, lens, _, _, std, *_ = cv2.calibrateCameraExtended(
         [SPEC.corners[v.ids].astype(np.float32) for v in views],
         [(v.xy - 0.5).astype(np.float32) for v in views],

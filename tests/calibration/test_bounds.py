@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from devrf.calibration.extent.bounds import VOXEL, Bounds, focus_point, scene_bounds
+from devrf.calibration.extent.bounds import VOXEL, Bounds, Silhouettes, focus_point, scene_bounds
 from devrf.calibration.extent.box_checks import cut_off, not_explained, not_swept, outside_box
 from devrf.calibration.extent.mask_box import MaskHull
 from devrf.calibration.extent.motion_masks import MotionMask, motion_mask
@@ -44,7 +44,7 @@ NONE = np.zeros((0, 3)), np.zeros(0)  # points, and distances to them
 def bounds() -> Bounds:
     """The box of the ball before four cameras, by their masks alone."""
     fixed = ring(4, 2.2)
-    return scene_bounds(fixed, fixed, *NONE, [ball_mask(c) for c in fixed])
+    return scene_bounds(fixed, fixed, *NONE, Silhouettes([ball_mask(c) for c in fixed]))
 
 
 def in_box(bounds, points: np.ndarray) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_the_box_holds_what_moves_and_not_much_more():
     fixed = ring(4, 2.2)
     points = room(np.random.default_rng(0))
     distances = np.linalg.norm(points - fixed[0].centre, axis=1)
-    bounds = scene_bounds(ring(20, 5.0), fixed, points, distances, [ball_mask(c) for c in fixed])
+    bounds = scene_bounds(ring(20, 5.0), fixed, points, distances, Silhouettes([ball_mask(c) for c in fixed]))
     surface = np.random.default_rng(1).normal(size=(500, 3))
     surface = BALL + RADIUS * surface / np.linalg.norm(surface, axis=1, keepdims=True)
     assert (np.abs(in_box(bounds, surface)) <= bounds.aabb[1] + 1e-9).all()
@@ -78,7 +78,7 @@ def test_near_does_not_cut_the_box_and_far_reaches_the_walls():
     fixed = ring(4, 2.2)
     points = room(np.random.default_rng(0))
     distances = np.linalg.norm(points - fixed[0].centre, axis=1)
-    bounds = scene_bounds(fixed, fixed, points, distances, [ball_mask(c) for c in fixed])
+    bounds = scene_bounds(fixed, fixed, points, distances, Silhouettes([ball_mask(c) for c in fixed]))
     unit = np.cbrt(np.linalg.det(bounds.box_from_world[:3, :3]))
     for camera in fixed:
         assert bounds.near / unit <= np.linalg.norm(camera.centre - BALL) - RADIUS
@@ -236,7 +236,7 @@ def two_movers(fixed: list[Camera], second: np.ndarray, radius: float) -> list[M
 def test_the_box_holds_a_small_mover_beside_a_large_one() -> None:
     """A third as wide, a thirtieth of the volume."""
     fixed, second, radius = ring(5, 2.6), np.array([0.75, 0.1, 0.0]), RADIUS / 3
-    bounds = scene_bounds(fixed, fixed, *NONE, two_movers(fixed, second, radius))
+    bounds = scene_bounds(fixed, fixed, *NONE, Silhouettes(two_movers(fixed, second, radius)))
     ends = second + radius * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert (np.abs(in_box(bounds, ends)) <= bounds.aabb[1]).all()
 
@@ -270,7 +270,7 @@ def test_a_box_is_drawn_in_no_further_than_its_voxels_need() -> None:
     masks = [ball_mask(c, np.array([x, 0.0, 0.0]), 0.3) for c, x in zip(fixed, (0, 0.1, 0.1, 0), strict=True)]
 
     def sides(across: float) -> np.ndarray:
-        return scene_bounds(fixed, fixed, *NONE, masks, across=across).size
+        return scene_bounds(fixed, fixed, *NONE, Silhouettes(masks, across=across)).size
 
     # A picture is 2.2 wide where the ball is: mean sides are 0.77, 0.81 and 0.83, of which a margin is a part.
     smallest, between, whole = (sides(across) for across in (0.0, 0.37, 1.0))
@@ -281,7 +281,7 @@ def test_a_box_is_drawn_in_no_further_than_its_voxels_need() -> None:
 def test_where_light_alone_changes_the_box_is_what_masks_agree_on() -> None:
     fixed = ring(4, 2.2)
     masks = [MotionMask(c, ball_mask(c).mask, pattern=np.zeros((c.height, c.width), bool)) for c in fixed]
-    bounds = scene_bounds(fixed, fixed, *NONE, masks)
+    bounds = scene_bounds(fixed, fixed, *NONE, Silhouettes(masks))
     assert np.isfinite(bounds.aabb).all() and np.isfinite(bounds.box_from_world).all()
     assert (np.abs(in_box(bounds, BALL[None])) <= bounds.aabb[1]).all() and (bounds.size < 8 * RADIUS).all()
 
@@ -307,7 +307,7 @@ def test_a_shadow_as_small_is_no_mover() -> None:
         MotionMask(m.camera, m.mask, pattern=ball_mask(m.camera, np.zeros(3)).mask)
         for m in two_movers(fixed, second, radius)
     ]
-    bounds = scene_bounds(fixed, fixed, *NONE, masks)
+    bounds = scene_bounds(fixed, fixed, *NONE, Silhouettes(masks))
     assert np.abs(in_box(bounds, second[None])).max() > 1.0
 
 
@@ -320,7 +320,7 @@ def test_a_flat_mover_has_a_voxel_of_margin() -> None:
         u, v = camera.project(lying).astype(int).T
         mask[v, u] = True
         masks.append(MotionMask(camera, binary_dilation(mask, np.ones((5, 5)))))
-    bounds = scene_bounds(fixed, fixed, *NONE, masks)
+    bounds = scene_bounds(fixed, fixed, *NONE, Silhouettes(masks))
     assert (np.abs(in_box(bounds, lying)).max(0) <= bounds.aabb[1] - 0.9 * VOXEL).all()
 
 
@@ -364,8 +364,10 @@ def test_what_things_hide_from_some_cameras_is_where_the_others_see_it() -> None
         way = camera.centre - thing.mean(0)
         across = np.cross(way / np.linalg.norm(way), rng.normal(size=(4000, 3)))
         screens.append(thing.mean(0) + 0.3 * way + 0.4 * rng.uniform(0, 1, (4000, 1)) * across)
-    open_room = scene_bounds(fixed, fixed, points, np.full(100, 3.0), masks)
-    bounds = scene_bounds(fixed, fixed, np.concatenate([points, *screens]), np.full(100, 3.0), masks)
+    open_room = scene_bounds(fixed, fixed, points, np.full(100, 3.0), Silhouettes(masks))
+    bounds = scene_bounds(
+        fixed, fixed, np.concatenate([points, *screens]), np.full(100, 3.0), Silhouettes(masks)
+    )
     asked = bounds.box_from_world, bounds.aabb, bounds.before
     assert len(bounds.before) and all(found is None for found in not_explained(masks, *asked))
     assert (np.abs(in_box(bounds, thing)) <= bounds.aabb[1]).all(1).mean() > 0.98
@@ -380,7 +382,7 @@ def test_a_curtain_that_only_two_of_four_cameras_film_is_in_the_box_or_named() -
     before = [ball_mask(c, np.zeros(3), 0.2) for c in fixed]
     of_curtain = [float((m.mask & ~b.mask).sum() / m.mask.sum()) for m, b in zip(masks, before, strict=True)]
     assert [share > 0.1 for share in of_curtain] == [False, False, True, True]
-    bounds = scene_bounds(fixed, fixed, points, np.full(100, 3.0), masks)
+    bounds = scene_bounds(fixed, fixed, points, np.full(100, 3.0), Silhouettes(masks))
     assert (np.abs(in_box(bounds, CURTAIN)) <= bounds.aabb[1]).all()
     assert all(found is None for found in not_explained(masks, bounds.box_from_world, bounds.aabb))
 
@@ -402,7 +404,7 @@ def test_silhouettes_that_are_cut_by_the_border_leave_the_box_tight() -> None:
             MotionMask(c, np.any([ball_mask(c, ball, 0.12).mask for ball in balls], axis=0)) for c in cameras
         ]
         points = room(np.random.default_rng(0))
-        bounds = scene_bounds(near, cameras, points, np.full(100, 3.0), masks)
+        bounds = scene_bounds(near, cameras, points, np.full(100, 3.0), Silhouettes(masks))
         assert (np.abs(in_box(bounds, balls)) <= bounds.aabb[1]).all()
         return float(bounds.size.prod())
 

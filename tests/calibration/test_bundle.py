@@ -8,7 +8,7 @@ import pytest
 
 from devrf.calibration.bundle.adjust import adjust
 from devrf.calibration.bundle.model import jacobians, reprojection
-from devrf.calibration.bundle.problem import Problem, Timing, bodies_of_points
+from devrf.calibration.bundle.problem import Problem, ViewTiming, bodies_of_points
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
 
@@ -84,7 +84,7 @@ def board_problem(noise_px: float = 0.0, seed: int = 0) -> Problem:
         obs_xy=np.zeros((len(view), 2)),
         obs_std=np.full(len(view), max(noise_px, 0.1)),
         unit=0.8,
-        timing=Timing(
+        timing=ViewTiming(
             view=view,
             carry=np.tile(np.eye(3, 4), (cameras * instants, 1, 1)),
             carried_s=np.zeros(cameras * instants),

@@ -41,10 +41,10 @@ def test_a_guess_has_pixels_as_wide_as_the_file_says():
 def test_a_board_filmed_with_pixels_that_are_not_square():
     """HDV: a row has three quarters as many pixels as square ones would need."""
     square, terms = board_views(6, 0.05), PINHOLE[1]
-    truth = calibrate_intrinsics("cam0", square, SPEC, SIZE, terms=terms)
+    truth = calibrate_intrinsics("cam0", square, SPEC, SIZE, lens=terms)
     narrow = [replace(view, xy=view.xy * [0.75, 1.0]) for view in square]
     size = (SIZE[0] * 3 // 4, SIZE[1])
-    found = calibrate_intrinsics("cam0", narrow, SPEC, size, terms=terms, pixel_aspect=4 / 3)
+    found = calibrate_intrinsics("cam0", narrow, SPEC, size, lens=terms, pixel_aspect=4 / 3)
     K = np.diag([0.75, 1.0, 1.0]) @ truth.intrinsics.K
     np.testing.assert_allclose(found.intrinsics.K, K, rtol=1e-9)
     assert found.terms == truth.terms and (found.intrinsics.width, found.intrinsics.height) == size

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from devrf.capture.video.audio import Sound, _channels, _place, read_sound, read_wav, write_wav
-from devrf.capture.video.audio_channels import Heard, choose
+from devrf.capture.video.audio_channels import ChannelLoudness, choose
 
 
 def clicks(rate_hz: int, times_s: list[float], duration_s: float) -> np.ndarray:
@@ -125,8 +125,8 @@ def test_the_channel_in_which_something_is_to_be_heard(tmp_path, tracks, expecte
 
 def test_blocks_of_another_number_of_channels_do_not_choose():
     """Broadcasts change from two channels to six in the middle."""
-    heard, values = Heard(), microphone()[None]
+    heard, values = ChannelLoudness(), microphone()[None]
     for block in (np.concatenate([values, -values]), np.repeat(values, 6, axis=0)):
         heard.add(block.astype(np.float32))
-    choice = choose([Heard(), heard])
+    choice = choose([ChannelLoudness(), heard])
     assert choice.channel == 0 and choice.why.startswith("channel 1 of 2 in track 2 of 2")

@@ -16,7 +16,7 @@ from devrf.capture.photos.upright_pictures import probe_picture
 from devrf.capture.projection import of_sphere, of_xmp, projection_of
 from devrf.capture.video.reader import probe_video
 from devrf.pipelines.check.clip_pictures import planned_frames
-from devrf.pipelines.init.material import Seen
+from devrf.pipelines.init.material import FootageContent
 from devrf.pipelines.init.roles import guess_roles
 
 HEIGHT, WIDTH = 80, 160
@@ -136,7 +136,7 @@ def test_clips_and_photos_are_told_by_all_commands(make_clip, tmp_path, kind):
     ]
     whys = [[f.why for f in faults if f.code == "coding"] for faults in found]
     assert whys == [[kind] if kind else []] * 3
-    roles = guess_roles([Seen(look, "a.mp4", steadiness(look.greys), 0.0)], None)
+    roles = guess_roles([FootageContent(look, "a.mp4", steadiness(look.greys), 0.0)], None)
     assert ("a.mp4" in roles.left) == (kind is not None)
 
 

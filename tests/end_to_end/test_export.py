@@ -13,7 +13,7 @@ from tests.make.glb import read_glb
 from devrf.calibration.truth import read_truth, similarity
 from devrf.capture.formats import read_scene
 from devrf.pipelines.export.export_command import export
-from devrf.pipelines.export.request import Options
+from devrf.pipelines.export.request import ExportOptions
 from devrf.pipelines.terminal.console import Talk
 
 TIME_S = 1.3  # in mid-motion: half of the points are 0.1 m or more from where they rest
@@ -24,7 +24,7 @@ MEDIAN_M = 0.015  # a voxel and a half; measured 0.008
 @pytest.mark.parametrize("whole_run", ["example_run"], indirect=True)
 def test_what_moves_is_where_it_was(whole_run: ExampleRun, tmp_path: Path) -> None:
     pytest.importorskip("skimage")
-    options = Options("glb", tmp_path / "out", times=f"{TIME_S}s", device="cpu")
+    options = ExportOptions("glb", tmp_path / "out", times=f"{TIME_S}s", device="cpu")
     folder = export(Talk("quiet"), whole_run.run_dir, options)
     facts = json.loads((folder / "export.json").read_text())
     mesh = read_glb(folder / "scene.glb")

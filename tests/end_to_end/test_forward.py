@@ -9,6 +9,7 @@ from tests.conftest import SMALL_FILM
 
 from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
 from devrf.lab.simulate.protocol.forward import simulate_forward
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.pipelines.stages import render
 
 pytestmark = pytest.mark.full
@@ -19,9 +20,8 @@ GAIN_DB = 3.0  # of the motion over the scene at rest, where it moves
 @pytest.fixture(scope="module")
 def run_dir(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("forward")
-    simulate_forward(
-        folder / "set", "flower", size=(96, 54), options=ForwardOptions(static_views=24, times=6, spp=8)
-    )
+    options = ForwardOptions(static_views=24, times=6, spp=8)
+    simulate_forward(folder / "set", Simulation("flower", 3, 0, (96, 54), options))
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(render.SIZES, "tiny", SMALL_FILM)
         done = devrf("run", folder / "set", "--preset", "tiny", "--until", "render")

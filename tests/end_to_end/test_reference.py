@@ -8,6 +8,7 @@ import pytest
 
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.reconstruct.evaluation.evaluate import motion_psnr
 
 pytestmark = pytest.mark.full
@@ -23,7 +24,7 @@ def out(devrf: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("reference")
     # Of 50 published times six are a short piece: the arm moves less than through all of its way.
     options = DatasetOptions(static_views=48, static_test_views=4, times=TIMES, motion_scale=0.4)
-    simulate_dataset(folder / "arm", "arm", size=(SIZE, SIZE), options=options)
+    simulate_dataset(folder / "arm", Simulation("arm", 4, 0, (SIZE, SIZE), options))
     settings = [part for key, value in SETTINGS.items() for part in ("--set", f"reconstruct.{key}={value}")]
     done = devrf(
         "bench", "ablation", folder / "arm", "--preset", "reference", "--only", "base,c2f",

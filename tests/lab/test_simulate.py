@@ -14,6 +14,7 @@ from tests.refused import refused
 from devrf.capture.system.errors import InputError
 from devrf.lab.simulate.scenes.catalogue import Mesh
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.session.camera_rig import BOARD_SQUARES
 from devrf.lab.simulate.session.moved import ways
 from devrf.lab.simulate.session.simulate_session import simulate_session
@@ -31,6 +32,7 @@ TINY = SessionOptions(
     spp=8,
     board_frames=4,
 )
+SHEET = Simulation("sheet", 1, 3, SIZE, TINY)
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +40,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mitsuba")
     out = tmp_path_factory.mktemp("simulate") / "session"
     told: list[float] = []
-    path = simulate_session(
-        out, "sheet", cameras=1, seed=3, size=SIZE, options=TINY, progress=lambda f, m: told.append(f)
-    )
+    path = simulate_session(out, SHEET, progress=lambda f, m: told.append(f))
     assert path == out / "scene.yaml"
     assert told == sorted(told) and told[-1] == pytest.approx(1)
     return out
@@ -158,7 +158,7 @@ def test_same_seed_same_session(tmp_path: Path) -> None:
     pytest.importorskip("mitsuba")
     options = SessionOptions(sweep_frames=2, fps=5, duration_s=0.5, spp=4, board=False, claps=1)
     for name in ("a", "b"):
-        simulate_session(tmp_path / name, "column", cameras=1, seed=1, size=(32, 24), options=options)
+        simulate_session(tmp_path / name, Simulation("column", 1, 1, (32, 24), options))
     assert _truth(tmp_path / "a") == _truth(tmp_path / "b")
     for file in ("static.mp4", "cam0.mp4", "witness.mp4"):
         one, other = (_pictures(tmp_path / name / file)[1].astype(float) for name in ("a", "b"))
@@ -171,12 +171,12 @@ def test_same_seed_same_session(tmp_path: Path) -> None:
 def test_folder_with_files_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("precious")
     with refused("folder-exists", tmp_path, kind=InputError):
-        simulate_session(tmp_path, "sheet", options=TINY)
+        simulate_session(tmp_path, SHEET)
     assert (tmp_path / "mine.txt").read_text() == "precious"
 
 
 def test_missing_renderer_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
     with refused("package-missing", "pip install 'devrf[simulate]'", "-e '.[simulate]'", kind=InputError):
-        simulate_session(tmp_path / "out", "sheet", size=SIZE, options=TINY)
+        simulate_session(tmp_path / "out", SHEET)
     assert not (tmp_path / "out").exists()

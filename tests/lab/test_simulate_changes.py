@@ -12,6 +12,7 @@ from devrf.lab.simulate.render.renderer import Finish, Renderer
 from devrf.lab.simulate.scenes.catalogue import room
 from devrf.lab.simulate.scenes.objects import make_object
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.session.camera_rig import fixed_cameras
 from devrf.lab.simulate.session.session_files import background_at, lamp_shift_m, object_at
 from devrf.lab.simulate.session.simulate_session import simulate_session
@@ -29,7 +30,7 @@ def test_clips_are_kept_and_the_sweep_can_be_restless(tmp_path: Path) -> None:
         ("restless", SMALL.model_copy(update={"sweep_motion": 1.0, "sweep_fps": 2.0}), ("cam0", "witness")),
     ):
         clips = [tmp_path / "calm" / f"{clip}.mp4" for clip in kept]
-        simulate_session(tmp_path / name, "sheet", cameras=1, size=(32, 24), options=options, kept=clips)
+        simulate_session(tmp_path / name, Simulation("sheet", 1, 0, (32, 24), options), kept=clips)
     calm, restless = tmp_path / "calm", tmp_path / "restless"
     for clip in ("cam0.mp4", "witness.mp4"):
         assert (calm / clip).read_bytes() == (restless / clip).read_bytes()
@@ -42,9 +43,10 @@ def test_a_clip_is_the_same_whatever_is_made_beside_it(tmp_path: Path) -> None:
     """Noise, light paths and microphones of one clip do not hang on which others are kept, or on what they show."""
     pytest.importorskip("mitsuba")
     options = SMALL.model_copy(update={"sound": True, "claps": 1})
-    simulate_session(tmp_path / "whole", "sheet", cameras=1, size=(32, 24), options=options)
+    simulation = Simulation("sheet", 1, 0, (32, 24), options)
+    simulate_session(tmp_path / "whole", simulation)
     kept = [tmp_path / "whole" / "static.mp4", tmp_path / "whole" / "cam0.mp4"]
-    simulate_session(tmp_path / "again", "sheet", cameras=1, size=(32, 24), options=options, kept=kept)
+    simulate_session(tmp_path / "again", simulation, kept=kept)
     whole, again = (tmp_path / folder / "witness.mp4" for folder in ("whole", "again"))
     assert np.abs(_last(whole) - _last(again)).max() <= 1  # grey levels
     one, other = (read_sound(path) for path in (whole, again))

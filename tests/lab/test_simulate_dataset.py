@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -15,9 +16,11 @@ from devrf.capture.scene import load_image
 from devrf.capture.system.errors import InputError
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
+from devrf.lab.simulate.scenes.simulation import Simulation
 
 SIZE = (48, 40)
 TINY = DatasetOptions(static_views=4, static_test_views=2, times=4, test_views_per_time=2, spp=4)
+FLOWER = Simulation("flower", 2, 3, SIZE, TINY)
 PICTURES = 4 + 2 + 2 + 2 * 4 + 2 + 2 * 4
 
 
@@ -26,9 +29,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mitsuba")
     out = tmp_path_factory.mktemp("dataset") / "flower"
     told: list[float] = []
-    made = simulate_dataset(
-        out, "flower", cameras=2, seed=3, size=SIZE, options=TINY, progress=lambda f, m: told.append(f)
-    )
+    made = simulate_dataset(out, FLOWER, progress=lambda f, m: told.append(f))
     assert made.scene_yaml == out / "scene.yaml" and made.rendered == PICTURES
     assert told == sorted(told) and told[-1] == pytest.approx(1)
     return out
@@ -104,7 +105,7 @@ def test_flow_and_depth_belong_to_the_pictures(dataset: Path) -> None:
 def test_same_arguments_same_bytes_and_more_cameras_begin_with_the_same(
     dataset: Path, tmp_path: Path
 ) -> None:
-    simulate_dataset(tmp_path, "flower", cameras=1, seed=3, size=SIZE, options=TINY)
+    simulate_dataset(tmp_path, replace(FLOWER, cameras=1))
     pictures = {file.relative_to(tmp_path): file.read_bytes() for file in tmp_path.rglob("*.png")}
     rooms = {path.parts[:2] for path in pictures}
     assert {("static", "train"), ("dynamic_1views", "train"), ("dynamic_1views", "test")} <= rooms
@@ -116,10 +117,9 @@ def test_same_arguments_same_bytes_and_more_cameras_begin_with_the_same(
 def test_interrupted_it_goes_on_and_complete_it_does_nothing(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "copy"
     shutil.copytree(dataset, out)
-    arguments = {"cameras": 2, "seed": 3, "size": SIZE, "options": TINY}
     kept = out / "static" / "train" / "r_000.png"
     kept.write_bytes(b"left alone")
-    assert simulate_dataset(out, "flower", **arguments).rendered == 0
+    assert simulate_dataset(out, FLOWER).rendered == 0
     made_by = _json(out / "made_by.json")
     assert made_by["complete"] and made_by["scene"] == "flower" and made_by["seed"] == 3
     (out / "made_by.json").write_text(json.dumps({**made_by, "complete": False}))
@@ -127,7 +127,7 @@ def test_interrupted_it_goes_on_and_complete_it_does_nothing(dataset: Path, tmp_
     gone.append(out / "dynamic_2views" / "train_flow" / "004_bwd.npz")
     for file in gone:
         file.unlink()
-    assert simulate_dataset(out, "flower", **arguments).rendered == 2
+    assert simulate_dataset(out, FLOWER).rendered == 2
     for file in gone[:2]:
         assert file.read_bytes() == (dataset / file.relative_to(out)).read_bytes()
     with np.load(gone[2]) as new, np.load(dataset / gone[2].relative_to(out)) as old:
@@ -136,12 +136,11 @@ def test_interrupted_it_goes_on_and_complete_it_does_nothing(dataset: Path, tmp_
 
 
 def test_a_folder_that_holds_something_else_is_refused(dataset: Path, tmp_path: Path) -> None:
-    arguments = {"cameras": 2, "seed": 3, "size": SIZE, "options": TINY}
     with refused("folder-exists", "seed 3", "4", kind=InputError):
-        simulate_dataset(dataset, "flower", **{**arguments, "seed": 4})
+        simulate_dataset(dataset, replace(FLOWER, seed=4))
     with refused("folder-exists", "scene flower", "arm", kind=InputError):
-        simulate_dataset(dataset, "arm", **arguments)
+        simulate_dataset(dataset, replace(FLOWER, scene="arm"))
     (tmp_path / "mine.txt").write_text("precious")
     with refused("folder-exists", tmp_path, "made_by.json", kind=InputError):
-        simulate_dataset(tmp_path, "flower", **arguments)
+        simulate_dataset(tmp_path, FLOWER)
     assert [f.name for f in tmp_path.iterdir()] == ["mine.txt"]

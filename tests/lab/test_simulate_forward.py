@@ -10,6 +10,7 @@ from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
 from devrf.lab.simulate.protocol.forward import llff_poses, normalised, simulate_forward
+from devrf.lab.simulate.scenes.simulation import Simulation
 
 SIZE = (64, 40)
 TINY = ForwardOptions(static_views=4, times=3, spp=4)
@@ -19,9 +20,10 @@ TINY = ForwardOptions(static_views=4, times=3, spp=4)
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("mitsuba")
     out = tmp_path_factory.mktemp("forward") / "flower"
-    made = simulate_forward(out, "flower", seed=1, size=SIZE, options=TINY)
+    flower = Simulation("flower", 3, 1, SIZE, TINY)
+    made = simulate_forward(out, flower)
     assert made.rendered == 4 + 4 + 4 * 3
-    assert simulate_forward(out, "flower", seed=1, size=SIZE, options=TINY).rendered == 0
+    assert simulate_forward(out, flower).rendered == 0
     return out
 
 

@@ -7,7 +7,7 @@ import pytest
 from devrf.capture.camera import Camera
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.render.studio import Studio
-from devrf.lab.simulate.render.true_geometry import Surface, corners_of, flow_bwd
+from devrf.lab.simulate.render.true_geometry import TrueSurface, corners_of, flow_bwd
 from devrf.lab.simulate.scenes.catalogue import WOOD, Mesh, texture
 from devrf.lab.simulate.scenes.shapes import turn, turned
 
@@ -30,8 +30,8 @@ def _upright(x: tuple[float, float], y: float, z: tuple[float, float] = (-9, 9))
     return Mesh(corners, np.array([[0, 2, 1], [0, 3, 2]]), uv, GREY)
 
 
-def _seen(studio: Studio, *meshes: Mesh, camera: Camera = CAMERA) -> Surface:
-    return Surface(camera, studio.stage(meshes).triangles(camera), corners_of(meshes))
+def _seen(studio: Studio, *meshes: Mesh, camera: Camera = CAMERA) -> TrueSurface:
+    return TrueSurface(camera, studio.stage(meshes).triangles(camera), corners_of(meshes))
 
 
 def test_pixels_are_sampled_at_their_centres(studio: Studio) -> None:

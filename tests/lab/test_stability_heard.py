@@ -6,7 +6,7 @@ import pytest
 
 from devrf.lab.bench.stability.case import Complaint, Result
 from devrf.lab.bench.stability.points import points
-from devrf.lab.bench.stability.precision_recall import Heard, heard
+from devrf.lab.bench.stability.precision_recall import PrecisionRecall, heard
 
 BLUR = Complaint("ingest", "sharpness", "warn", 3.0, "sharpness")
 NO_SCALE = Complaint("rig", "scale", "warn", "arbitrary scale", "scale")
@@ -19,7 +19,7 @@ def case(axis: str, severity: int, psnr: float | None, spoken: bool, **more: Any
     return Result(axis, float(severity), 0, complaints=complaints, **rest)
 
 
-def known(*cases: Result) -> Heard:
+def known(*cases: Result) -> PrecisionRecall:
     results = {name: [c for c in cases if c.axis == name] for name in dict.fromkeys(c.axis for c in cases)}
     return heard(results, CALM, {name: points(of_axis, CALM) for name, of_axis in results.items()})
 

@@ -20,6 +20,7 @@ from devrf.lab.bench.stability.small_session import session as of_the_suite
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
 from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.session.camera_rig import fixed_cameras
 from devrf.lab.simulate_command import session_code, simulate
 from devrf.pipelines.config.load import load_scene
@@ -221,7 +222,7 @@ def test_a_simulated_data_set_is_made_again_with_more_motion(odd_scene: Scene, t
     few = DatasetOptions(
         spp=4, motion_scale=0.5, static_views=3, static_test_views=1, times=2, test_views_per_time=1
     )
-    simulate_dataset(tmp_path / "set", "robot", cameras=1, size=(16, 16), options=few)
+    simulate_dataset(tmp_path / "set", Simulation("robot", 1, 0, (16, 16), few))
     config = load_scene(tmp_path / "set/scene.yaml")
     (tmp_path / "case/seed0").mkdir(parents=True)
     intact = Intact(config, tmp_path / "set", odd_scene, tmp_path / "case/seed0", 2.0, 0)

@@ -20,7 +20,7 @@ from devrf.pipelines.batch import batch_command as command
 from devrf.pipelines.batch import scenes
 from devrf.pipelines.batch import task as batch_task
 from devrf.pipelines.batch.scene_rows import STOPPED_MESSAGE
-from devrf.pipelines.batch.scenes import Options, look, stand
+from devrf.pipelines.batch.scenes import BatchOptions, look, stand
 from devrf.pipelines.batch.task import Task, run_task
 from devrf.pipelines.run_folder.workspace import Workspace
 from devrf.pipelines.runner.standing import Standing
@@ -108,11 +108,11 @@ def test_the_files_of_a_fresh_scene_are_not_opened(whole: Path, monkeypatch: pyt
 
     monkeypatch.setattr(scenes, "check_inputs", opened)
     monkeypatch.setattr(scenes, "check_folder", opened)
-    options = Options()
+    options = BatchOptions()
     (scene,) = look([whole / "a"], options)
     stand(scene)
     assert scene.to_do == [] and len(scene.stages) == 5 and scene.problem is None
-    (scene,) = look([whole / "a"], Options(overrides=("output=empty",)))
+    (scene,) = look([whole / "a"], BatchOptions(overrides=("output=empty",)))
     stand(scene)
     assert scene.problem == "looked at"
 
@@ -124,7 +124,7 @@ def test_what_a_look_has_read_nobody_reads_again(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(digests, "RACY_S", 0.0)  # the files were only just written
     monkeypatch.setattr(digests, "_entry", lambda path: (read.append(path), entry(path))[1])
     for expected in (10, 0):
-        (scene,) = look([tmp_path / "a"], Options())
+        (scene,) = look([tmp_path / "a"], BatchOptions())
         stand(scene)
         assert len(read) == expected
         read.clear()
@@ -135,7 +135,7 @@ def test_scenes_that_collide_are_refused(tmp_path: Path) -> None:
         tiny_scene(tmp_path, name)
     scene = tmp_path / "b/scene.yaml"
     scene.write_text(scene.read_text().replace("output: run", "output: ../a/run"))
-    options = Options()
+    options = BatchOptions()
     found = look([tmp_path / n for n in "abc"], options)
     assert [str(tmp_path / "a/run") in (s.problem or "") for s in found] == [True, True, False]
     assert found[2].problem is None
@@ -157,7 +157,7 @@ def test_one_that_fails_while_it_runs_stops_no_other(tmp_path: Path, devrf: Comm
 
 
 def test_a_scene_is_run_from_the_first_stage_that_is_to_be_made(tmp_path: Path) -> None:
-    (scene,) = look([tiny_scene(tmp_path, "a")], Options())
+    (scene,) = look([tiny_scene(tmp_path, "a")], BatchOptions())
     names = ("ingest", "scene", "flow", "canonical", "report")
 
     def to_do(*fresh: str) -> list[str]:
@@ -190,7 +190,7 @@ def test_shares_of_this_machine(
     monkeypatch.setattr(command, "left_bytes", lambda: 9e9 / (1 - command.RESERVE))
     monkeypatch.setattr(command, "resolve_device", lambda device: "cuda" if gpus else "cpu")
     monkeypatch.setattr("torch.cuda.device_count", lambda: gpus)
-    pool = command._local(Options(jobs=jobs))
+    pool = command._local(BatchOptions(jobs=jobs))
     assert (pool._places.qsize(), pool.threads, pool.gpus) == expected
     assert pool.memory_gb == pytest.approx(9 / expected[0])
 
@@ -224,12 +224,12 @@ def test_a_gpu_that_is_not_there_is_said_before_the_scenes_are_looked_at(
     monkeypatch.setattr(command, "look", lambda *arguments, **options: pytest.fail("looked"))
     for device, refusal in (("cuda", "gpu-missing"), ("gpu", "option-unknown-value")):
         with refused(refusal, f"--device {device}", kind=InputError):
-            command.batch(Talk("quiet"), [tmp_path], Options(device=device, out=tmp_path / "o"))
+            command.batch(Talk("quiet"), [tmp_path], BatchOptions(device=device, out=tmp_path / "o"))
 
 
 def test_a_summary_that_cannot_be_made_is_a_mistake_of_the_command() -> None:
     with refused("folder-unwritable", "--out /proc/x: ", kind=InputError):
-        command.batch(Talk("quiet"), [Path("a")], Options(out=Path("/proc/x")))
+        command.batch(Talk("quiet"), [Path("a")], BatchOptions(out=Path("/proc/x")))
 
 
 def test_an_option_that_is_gone_says_what_to_do(devrf_process: Command, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from devrf.pipelines.batch import local
 from devrf.pipelines.batch.local import LocalPool
 from devrf.pipelines.batch.progress_table import Board
 from devrf.pipelines.batch.scene_rows import SceneRow, exit_code
-from devrf.pipelines.batch.scenes import Options, look, stand
+from devrf.pipelines.batch.scenes import BatchOptions, look, stand
 from devrf.pipelines.batch.task import Ended, Task
 from devrf.pipelines.batch.work import ATTEMPTS, Work
 from devrf.pipelines.terminal.console import Talk
@@ -91,12 +91,12 @@ def worked(
 ) -> list[SceneRow]:
     """Rows of scenes whose tasks end as `run` says."""
     monkeypatch.setattr(local, "run_task", run)
-    scenes = look([tiny_scene(folder, name) for name in names], Options())
+    scenes = look([tiny_scene(folder, name) for name in names], BatchOptions())
     for scene in scenes:
         stand(scene)
     rows = [SceneRow(str(scene.path), scene.name, None) for scene in scenes]
     board = Board(Talk("quiet"), folder, rows, "local")
-    Work(Options(), pool, board).through(scenes)
+    Work(BatchOptions(), pool, board).through(scenes)
     return rows
 
 

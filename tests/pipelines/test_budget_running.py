@@ -12,7 +12,7 @@ from tests.pipelines.small_stages import job, small_stages, write
 from devrf.calibration.sweep.static_poses import SweepOptions
 from devrf.capture.system.progress import no_progress
 from devrf.pipelines.budget import disk
-from devrf.pipelines.budget.disk import Room, room_of, watched
+from devrf.pipelines.budget.disk import DiskSpace, room_of, watched
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.runner.execute import execute
 from devrf.pipelines.stage import Allowance, StageContext
@@ -26,7 +26,7 @@ def configured(**sections: object) -> SceneConfig:
     return SceneConfig.model_validate({"name": "x", "capture": capture, **sections})
 
 
-def room(folder: Path, disk_gb: float | None = None) -> Room:
+def room(folder: Path, disk_gb: float | None = None) -> DiskSpace:
     return room_of(configured(budget={"disk_gb": disk_gb}), folder)
 
 

@@ -15,7 +15,7 @@ from tests.pipelines.tiny_scenes import tiny_scene
 from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.preview.matching import features
 from devrf.calibration.preview.overlap import overlap_of
-from devrf.capture.ingest.survey import Look, look_at
+from devrf.capture.ingest.survey import Footage, look_at
 from devrf.capture.photos.upright_pictures import write_picture
 from devrf.capture.rest import Rest
 from devrf.capture.session import CaptureSession
@@ -131,7 +131,7 @@ def test_a_damaged_clip_gives_what_decodes(tmp_path: Path, textures: Callable) -
 # --- sweeps ---
 
 
-def clip(path: Path, pictures: list[np.ndarray]) -> Look:
+def clip(path: Path, pictures: list[np.ndarray]) -> Footage:
     write_video(path, pictures, 25.0)
     return look_at(path, 12)
 

@@ -14,7 +14,7 @@ from tests.judged import judged
 from devrf.calibration.clocks.cues import Extras
 from devrf.calibration.clocks.equations import Clock, Cue, Loop
 from devrf.calibration.clocks.flash import Brightness
-from devrf.calibration.clocks.geometry import Correction, GeometryCheck, refined
+from devrf.calibration.clocks.geometry import ClockCorrection, GeometryCheck, refined
 from devrf.calibration.clocks.sync import SyncResult, synchronise
 from devrf.capture.camera import Camera
 from devrf.capture.frames import CameraFrames, FrameRecord
@@ -303,7 +303,8 @@ def test_timecodes_count_frames_and_drop_some():
 def check(**offsets_s: tuple[float, float]) -> GeometryCheck:
     """A check that found these (offset, standard deviation)."""
     corrections = {
-        n: Correction(o, s, s < 0.5 / FPS, abs(o) > max(0.25 / FPS, 3 * s)) for n, (o, s) in offsets_s.items()
+        n: ClockCorrection(o, s, s < 0.5 / FPS, abs(o) > max(0.25 / FPS, 3 * s))
+        for n, (o, s) in offsets_s.items()
     }
     return GeometryCheck((), corrections, corrections, (), ("cam0 and cam2: not observable, ...",))
 

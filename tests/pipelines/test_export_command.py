@@ -21,7 +21,7 @@ from devrf.capture.photos.picture_files import read_pixels
 from devrf.capture.scene import Scene
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.export.export_command import export
-from devrf.pipelines.export.request import Options
+from devrf.pipelines.export.request import ExportOptions
 from devrf.pipelines.terminal.console import Talk
 
 
@@ -76,7 +76,7 @@ def test_a_data_set_has_the_times_that_were_trained_with(odd_scene: Scene, tmp_p
     for name in ("scene", "deformation"):
         (tmp_path / "run" / name / "stamp.json").touch()
     (tmp_path / "run" / "deformation" / "metrics.json").write_text('{"clock_offsets_s": {"cam0": -0.3}}')
-    folder = export(Talk("normal"), tmp_path / "run", Options("nerfstudio"))
+    folder = export(Talk("normal"), tmp_path / "run", ExportOptions("nerfstudio"))
 
     def times_s(scene: Scene, name: str) -> list[float]:
         return [f.time_s for f in scene.dynamic if f.camera_name == name and f.time_s is not None]
@@ -186,7 +186,7 @@ def test_the_rig_is_written_for_other_programs(devrf: Callable, data_dir: Path, 
     assert devrf("export", scene, "--format", "rig-opencv").code == 0
     rig = read_rig(tmp_path / "run/rig/rig.json")
     for name in RIG_WRITERS:
-        folder = export(Talk("quiet"), tmp_path / "run", Options(name))
+        folder = export(Talk("quiet"), tmp_path / "run", ExportOptions(name))
         files = [path for path in folder.iterdir() if path.name not in (MARKER, README)]
         found = files[0] if len(files) == 1 and files[0].is_file() else folder
         given = read_given(found, list(clips), dict.fromkeys(clips, (1280, 720)), "m")

@@ -24,7 +24,7 @@ from devrf.capture.system.errors import InputError, ReconstructError
 from devrf.pipelines.cli.main import app
 from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.formats import FORMATS
-from devrf.pipelines.export.request import Options
+from devrf.pipelines.export.request import ExportOptions
 from devrf.pipelines.terminal.console import Talk
 from devrf.reconstruct.storage.model_io import FILE, save_deformation, save_motion, save_rest
 from devrf.reconstruct.tracking.rigid import motion_of
@@ -50,7 +50,7 @@ def run_dir(odd_scene: Scene, tmp_path: Path) -> Path:
 
 
 def exported(run: Path, name: str, **options) -> tuple[Path, dict]:
-    folder = export(Talk("quiet"), run, Options(name, **options))
+    folder = export(Talk("quiet"), run, ExportOptions(name, **options))
     return folder, json.loads((folder / "export.json").read_text()) if name in MODEL else {}
 
 
@@ -269,10 +269,10 @@ def test_folders_in_use(run_dir: Path, tmp_path: Path) -> None:
     (folder / "stray.txt").unlink()
     exported(run_dir, "ply", times="1")
     with refused("folder-exists", f"--out {folder}: ", " ply", kind=InputError):
-        export(Talk("quiet"), run_dir, Options("splat", folder))
+        export(Talk("quiet"), run_dir, ExportOptions("splat", folder))
     (tmp_path / "file").write_text("")
     with refused("folder-unwritable", tmp_path / "file", kind=InputError):
-        export(Talk("quiet"), run_dir, Options("splat", tmp_path / "file" / "out"))
+        export(Talk("quiet"), run_dir, ExportOptions("splat", tmp_path / "file" / "out"))
 
 
 def test_the_command(devrf: Callable, run_dir: Path) -> None:

@@ -28,7 +28,7 @@ from tests.make.models import (
 from tests.pipelines.trained_run import SCALE, write_trained
 
 from devrf.pipelines.export.export_command import export
-from devrf.pipelines.export.request import Options
+from devrf.pipelines.export.request import ExportOptions
 from devrf.pipelines.terminal.console import Talk
 from devrf.reconstruct.fields.shading import Shading
 
@@ -88,7 +88,7 @@ FORMATS: dict[str, Callable[[Path, dict[str, Any]], Shown]] = {
 def exported(run: Path, folder: Path, name: str, **options: Any) -> tuple[Path, dict[str, Any]]:
     if name == "glb":
         pytest.importorskip("skimage")
-    folder = export(Talk("quiet"), run, Options(name, folder / name, **options))
+    folder = export(Talk("quiet"), run, ExportOptions(name, folder / name, **options))
     return folder, json.loads((folder / "export.json").read_text())
 
 

@@ -20,7 +20,7 @@ from devrf.capture.formats.parts.export import MARKER
 from devrf.capture.system.errors import InputError
 from devrf.pipelines.export.export_command import export
 from devrf.pipelines.export.player import _told
-from devrf.pipelines.export.request import Options
+from devrf.pipelines.export.request import ExportOptions
 from devrf.pipelines.terminal.console import Talk
 from devrf.pipelines.terminal.exit_codes import STOPPED
 
@@ -54,16 +54,20 @@ def test_a_sequence_of_splats(devrf: Callable, scene_yaml: Path, tmp_path: Path)
 @pytest.mark.parametrize(
     ("options", "refusal", "named"),
     [
-        (Options("player", splats=3), "option-out-of-range", ("--splats 3: ", "500 to 2000000", "30000")),
-        (Options("player", splats=1_500_000), "page-too-large", (" 25; ", "--splats ", "000, ")),
-        (Options("player", times="3s"), "option-out-of-range", ("--times 3s",)),
-        (Options("player", times=""), "option-malformed", ("--times '': ", " keys,")),
-        (Options("player", times="keys,0.5s"), "option-malformed", ("--times 'keys,0.5s': ",)),
-        (Options("player", level=0.5), "option-misplaced", ("--level: ", "--format player")),
+        (
+            ExportOptions("player", splats=3),
+            "option-out-of-range",
+            ("--splats 3: ", "500 to 2000000", "30000"),
+        ),
+        (ExportOptions("player", splats=1_500_000), "page-too-large", (" 25; ", "--splats ", "000, ")),
+        (ExportOptions("player", times="3s"), "option-out-of-range", ("--times 3s",)),
+        (ExportOptions("player", times=""), "option-malformed", ("--times '': ", " keys,")),
+        (ExportOptions("player", times="keys,0.5s"), "option-malformed", ("--times 'keys,0.5s': ",)),
+        (ExportOptions("player", level=0.5), "option-misplaced", ("--level: ", "--format player")),
     ],
 )
 def test_a_player_that_cannot_be(
-    scene_yaml: Path, options: Options, refusal: str, named: tuple[str, ...]
+    scene_yaml: Path, options: ExportOptions, refusal: str, named: tuple[str, ...]
 ) -> None:
     run = scene_yaml.parent / "run"
     with refused(refusal, *named, kind=InputError):
@@ -74,7 +78,9 @@ def test_a_player_that_cannot_be(
 def test_a_file_in_the_way(scene_yaml: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with refused("folder-unwritable", tmp_path / "file", kind=InputError):
-        export(Talk("quiet"), scene_yaml.parent / "run", Options("player", tmp_path / "file" / "player"))
+        export(
+            Talk("quiet"), scene_yaml.parent / "run", ExportOptions("player", tmp_path / "file" / "player")
+        )
 
 
 def test_a_run_without_a_model(tmp_path: Path) -> None:
@@ -82,7 +88,7 @@ def test_a_run_without_a_model(tmp_path: Path) -> None:
     for stage, what in (("canonical", "the model"), ("scene", "the scene")):
         (tmp_path / "run" / stage / "stamp.json").unlink()
         with refused("stage-not-made", what, "--until canonical", kind=InputError):
-            export(Talk("quiet"), tmp_path / "run", Options("splat"))
+            export(Talk("quiet"), tmp_path / "run", ExportOptions("splat"))
 
 
 def test_a_stale_run_is_told(devrf: Callable, tmp_path: Path) -> None:
@@ -121,7 +127,7 @@ def test_a_stopped_export_leaves_nothing_and_says_so(tmp_path: Path, sign: signa
 def test_a_motion_that_is_not_trained_yet_is_told(tmp_path: Path) -> None:
     scene = write_trained(tmp_path)
     shutil.rmtree(tmp_path / "run" / "deformation")
-    folder = export(Talk("quiet"), scene.parent / "run", Options("splat", splats=500))
+    folder = export(Talk("quiet"), scene.parent / "run", ExportOptions("splat", splats=500))
     assert "motion" in (folder / "README.txt").read_text()
     assert json.loads((folder / "export.json").read_text())["moving"] == 0
 

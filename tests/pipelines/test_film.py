@@ -25,7 +25,7 @@ from devrf.pipelines.cli import run_command
 from devrf.pipelines.config.gone import GONE
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.film import film_command as command
-from devrf.pipelines.film.film_plan import Asked
+from devrf.pipelines.film.film_plan import FilmRequest
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages import render
 from devrf.pipelines.terminal.console import Talk
@@ -51,7 +51,7 @@ def scene(made: Path, tmp_path: Path) -> Path:
 def film(scene: Path, **options: object) -> Path:
     """Make a film in this process; its folder."""
     job = run_command.prepare(Talk("normal"), scene, None, None, None, check_files=False)
-    return command.film(job, Asked(**{**SMALL, **options}), "cpu")  # type: ignore[arg-type]
+    return command.film(job, FilmRequest(**{**SMALL, **options}), "cpu")  # type: ignore[arg-type]
 
 
 def about(folder: Path) -> dict:

@@ -19,7 +19,7 @@ from devrf.calibration.boards.guess import BoardGuess, board_pictures, guess_boa
 from devrf.calibration.boards.spec import BoardSpec, dictionary
 from devrf.calibration.preview.stability import Steadiness, steadiness
 from devrf.capture.formats import read_dataset
-from devrf.capture.ingest.survey import Look
+from devrf.capture.ingest.survey import Footage
 from devrf.capture.photos.upright_pictures import read_grey
 from devrf.capture.scene import Scene
 from devrf.capture.system.errors import CaptureError, InputError
@@ -28,7 +28,7 @@ from devrf.capture.video.video_writer import write_video
 from devrf.pipelines.config.load import load_scene
 from devrf.pipelines.init.calibrations import take_calibration
 from devrf.pipelines.init.init_command import init
-from devrf.pipelines.init.material import Roles, Seen
+from devrf.pipelines.init.material import FootageContent, Roles
 from devrf.pipelines.init.roles import guess_roles
 from devrf.pipelines.init.scene_yaml import scene_yaml
 from devrf.pipelines.terminal.console import Talk
@@ -141,23 +141,23 @@ def test_a_camera_stands_or_moves(textures: Callable[[int], np.ndarray]) -> None
 def seen(
     name: str, steady: Steadiness = STANDS, board: float = 0.0, level: int = 100, size: tuple[int, int] = (1920, 1080),
     is_clip: bool = True, count: int = 100, seconds: float = 4.0,
-) -> Seen:  # fmt: skip
+) -> FootageContent:  # fmt: skip
     times = np.linspace(0, seconds, count) if is_clip else np.zeros(0)
     pictures = (np.full((36, 48, 3), level, np.uint8),) * 3
-    return Seen(
-        Look(Path(name), is_clip, *size, count, is_clip, "", (), times, pictures), name, steady, board
+    return FootageContent(
+        Footage(Path(name), is_clip, *size, count, is_clip, "", (), times, pictures), name, steady, board
     )
 
 
-def photos(name: str, steady: Steadiness = UNKNOWN, **more: Any) -> Seen:
+def photos(name: str, steady: Steadiness = UNKNOWN, **more: Any) -> FootageContent:
     return seen(name, steady, is_clip=False, **more)
 
 
-def roles_of(*files: Seen) -> Roles:
+def roles_of(*files: FootageContent) -> Roles:
     return guess_roles(files, GUESS if any(f.board_share for f in files) else None)
 
 
-def names(clips: dict[str, Seen]) -> dict[str, str]:
+def names(clips: dict[str, FootageContent]) -> dict[str, str]:
     return {camera: s.name for camera, s in clips.items()}
 
 
@@ -184,7 +184,7 @@ SWEEP = seen("static.mp4", MOVES)
         ([photos("static", STANDS)], "", "", "static"),
     ],
 )  # fmt: skip
-def test_roles(files: list[Seen], sweep: str, cameras: str, left: str) -> None:
+def test_roles(files: list[FootageContent], sweep: str, cameras: str, left: str) -> None:
     roles = roles_of(*files)
     assert (roles.sweep.name if roles.sweep else "") == sweep
     assert list(roles.cameras) == cameras.split() and sorted(roles.left) == left.split()

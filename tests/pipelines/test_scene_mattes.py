@@ -14,7 +14,7 @@ from tests.refused import refused
 
 from devrf.calibration.colour.colours import Colours
 from devrf.calibration.colour.match import Apart
-from devrf.calibration.extent.bounds import Bounds, scene_bounds
+from devrf.calibration.extent.bounds import Bounds, Silhouettes, scene_bounds
 from devrf.calibration.extent.motion_masks import MotionMask
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, RigCamera, write_rig
 from devrf.calibration.sweep.static_poses import SweepModel
@@ -275,7 +275,7 @@ def test_a_subject_that_leaves_the_box_is_counted(tmp_path: Path, monkeypatch: p
     """The box is where the ball rests; the ball moves by more than its radius."""
     session = Session(tmp_path, monkeypatch, step=0.08)
     rest = [MotionMask(c, ball(c, BALL)) for c in session.sweep]
-    bounds = scene_bounds(session.sweep, [], np.zeros((0, 3)), np.zeros(0), rest)
+    bounds = scene_bounds(session.sweep, [], np.zeros((0, 3)), np.zeros(0), Silhouettes(rest))
     session.write_mattes("mattes", "cam0")
     config = {"static": "static.mp4", "cameras": {"cam0": "cam0.mp4"}, "mattes": "mattes"}
     scene = session.scene("mattes")[0]
@@ -305,7 +305,7 @@ FIXED = [look_at(a) for a in (0.0, 0.6, 1.2, 1.8)]
 def bounds() -> Bounds:
     """The box of the ball before four fixed cameras."""
     masks = [MotionMask(c, ball(c, BALL)) for c in FIXED]
-    return scene_bounds(FIXED, FIXED, np.zeros((100, 3)), np.full(100, 2.5), masks)
+    return scene_bounds(FIXED, FIXED, np.zeros((100, 3)), np.full(100, 2.5), Silhouettes(masks))
 
 
 def test_changes_outside_the_box_and_blind_corners(bounds: Bounds) -> None:

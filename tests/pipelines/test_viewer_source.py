@@ -19,7 +19,7 @@ from devrf.pipelines.run_folder.lock import LEASE_S, Lock, is_held
 from devrf.pipelines.viewer.own_address import Address
 from devrf.pipelines.viewer.run_status import standing
 from devrf.pipelines.viewer.server import Site
-from devrf.pipelines.viewer.source import Found, Loaded, load, look, progress
+from devrf.pipelines.viewer.source import Loaded, RunVersions, load, look, progress
 from devrf.reconstruct.fields.canonical_model import RestModel
 from devrf.reconstruct.rendering.model import render_view
 
@@ -37,7 +37,7 @@ def test_what_is_shown_follows_the_run(run: ViewerRun, ball: Ball, rest: RestMod
     def now() -> Loaded:
         return load(run.run_dir, look(run.run_dir), "cpu")
 
-    assert look(run.run_dir) == Found() and now().scene is None
+    assert look(run.run_dir) == RunVersions() and now().scene is None
     assert "nothing to show yet" in told(run, now()) and "no run at work" in told(run, now())
     run.scene(ball.scene)
     loaded = now()

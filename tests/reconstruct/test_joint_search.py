@@ -14,9 +14,9 @@ from devrf.flow.dis import DisFlow
 from devrf.reconstruct.tracking.lost.joint_search import evenly, score, turn_limbs, view_without
 from devrf.reconstruct.tracking.pose import Estimate, Shots
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose
-from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.surface import SurfacePoints
 from devrf.reconstruct.tracking.trajectory import Trajectory
-from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.views.film import CameraFilm
 from devrf.reconstruct.tracking.views.sight import Sight
 from devrf.reconstruct.tracking.views.templates import Templates
 
@@ -40,17 +40,17 @@ def arm() -> tuple[Graph, np.ndarray]:
     xyz, normals = (np.concatenate(x) for x in zip(*parts, strict=True))
     sides = 0.5 + 0.4 * normals[:, 1:]
     rgb = np.column_stack([np.where(xyz[:, 0] < 0, 0.2, 0.8), sides]) * (0.7 + 0.5 * np.abs(xyz[:, :1]))
-    graph = Graph(Surface(xyz, normals, rgb, SPACING))
+    graph = Graph(SurfacePoints(xyz, normals, rgb, SPACING))
     return graph, np.arange(len(xyz)) >= len(parts[0][0])
 
 
-def film(eye: tuple[float, float, float], *shown: Surface) -> Film:
+def film(eye: tuple[float, float, float], *shown: SurfacePoints) -> CameraFilm:
     """A camera before a grey wall, and its pictures of surfaces."""
     camera = replace(
         look_at(np.array(eye)), width=240, height=180, K=np.array([[200.0, 0, 120], [0, 200, 90], [0, 0, 1]])
     )
     plate, far = np.full((180, 240, 3), 0.5, np.float32), np.full((180, 240), np.inf)
-    out = Film(camera, [], np.array([0.0, 1.0]), 1.0, "shell", DisFlow(), far, plate)
+    out = CameraFilm(camera, [], np.array([0.0, 1.0]), 1.0, "shell", DisFlow(), far, plate)
     pictures = OrderedDict[int, np.ndarray]()
     for n, surface in enumerate(shown):
         ids = Sight(out, surface).ids
@@ -59,7 +59,7 @@ def film(eye: tuple[float, float, float], *shown: Surface) -> Film:
     return replace(out, _pictures=pictures)
 
 
-def filmed(rest: Surface, shown: Surface) -> list[Film]:
+def filmed(rest: SurfacePoints, shown: SurfacePoints) -> list[CameraFilm]:
     """Four cameras that see it at rest, and then in another way."""
     eyes = (0.0, 2.0, 0.8), (1.6, 1.4, 0.2), (-1.6, 1.4, 0.4), (0.3, -2.0, 0.5)
     return [film(eye, rest, shown) for eye in eyes]
@@ -69,7 +69,7 @@ def nodes_beyond_joint(graph: Graph) -> np.ndarray:
     return graph.nodes[:, 0] > 0.03
 
 
-def estimate(graph: Graph, films: list[Film], lost: np.ndarray) -> tuple[Shots, Estimate]:
+def estimate(graph: Graph, films: list[CameraFilm], lost: np.ndarray) -> tuple[Shots, Estimate]:
     """Everything at rest, some of it lost."""
     past = Trajectory(graph, np.array([0.0, 1.0]))
     templates = [Templates(one, len(graph.surface)) for one in films]
@@ -80,7 +80,7 @@ def estimate(graph: Graph, films: list[Film], lost: np.ndarray) -> tuple[Shots, 
     return shots, Estimate(past.poses[0], lost, liked)
 
 
-def turned(surface: Surface, points: np.ndarray) -> Surface:
+def turned(surface: SurfacePoints, points: np.ndarray) -> SurfacePoints:
     """The surface with its forearm turned about the joint."""
     xyz, normals = surface.xyz.copy(), surface.normals.copy()
     xyz[points], normals[points] = (xyz[points] - JOINT) @ TURN.T + JOINT, normals[points] @ TURN.T

@@ -42,14 +42,14 @@ from devrf.reconstruct.rendering.rays import Rays, camera_rays
 from devrf.reconstruct.sampling.clean_plate import standing_clips
 from devrf.reconstruct.sampling.moving_pictures import MovingPictures
 from devrf.reconstruct.storage.model_io import load_deformation, save_deformation, save_rest
-from devrf.reconstruct.tracking.find import AtRest, Found, find_movers, parts_of, why_not_tracked
-from devrf.reconstruct.tracking.follow import Tracks
+from devrf.reconstruct.tracking.find import AtRest, TrackedParts, find_movers, parts_of, why_not_tracked
+from devrf.reconstruct.tracking.follow import SurfaceTracks
 from devrf.reconstruct.tracking.solver.graph import Graph
-from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.surface import SurfacePoints
 from devrf.reconstruct.training.guard import diverged
 from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.moving_parts import DOUBTED_DB
-from devrf.reconstruct.training.train_movers import Trained, _Recipe, train_movers, untrained_errors
+from devrf.reconstruct.training.train_movers import TrainedParts, _Recipe, train_movers, untrained_errors
 
 TURN = np.array([0.2, -0.3, 0.4])
 STRETCH = np.array([[1.25, 0.08, 0.0], [0.08, 0.85, -0.05], [0.0, -0.05, 1.1]])
@@ -485,19 +485,21 @@ def test_killed_it_goes_on_bit_for_bit(
 def tracked(rest: RestModel, monkeypatch: pytest.MonkeyPatch):
     """What `find_movers` finds is decided by the test: the whole ball, how far it goes until time 1, and why."""
 
-    def found(travel: np.ndarray, offsets_s: dict[str, float]) -> Found:
+    def found(travel: np.ndarray, offsets_s: dict[str, float]) -> TrackedParts:
         model = whole(rest, travel)
         assert model.movers is not None and model.in_motion is not None
         times = np.array([0.0, 0.5, 1.0])
         xyz = RADIUS * np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]])
-        tracks = Tracks(times, xyz + times[:, None, None] * travel, np.zeros((3, 3), bool), np.zeros(2))
-        surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
+        tracks = SurfaceTracks(
+            times, xyz + times[:, None, None] * travel, np.zeros((3, 3), bool), np.zeros(2)
+        )
+        surface = SurfacePoints(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
         stands = model.in_motion.canonical
-        return Found(surface, tracks, np.zeros(3, int), stands, model.movers, offsets_s)
+        return TrackedParts(surface, tracks, np.zeros(3, int), stands, model.movers, offsets_s)
 
     def decide(
         travel: np.ndarray, offsets_s: dict[str, float] | None = None, decisions: Sequence[Decision] = ()
-    ) -> Found:
+    ) -> TrackedParts:
         one = found(travel, offsets_s or {})
         monkeypatch.setattr(
             "devrf.reconstruct.training.moving_parts.why_not_tracked", lambda scene, rest: None
@@ -546,16 +548,16 @@ def test_why_nothing_is_tracked_is_said(
     assert metrics["decisions"] == []
 
 
-def half_covered() -> tuple[Surface, Tracks, np.ndarray]:
+def half_covered() -> tuple[SurfacePoints, SurfaceTracks, np.ndarray]:
     """A ball goes along a line; half of it is covered from the third moment of five, and guessed to stay."""
     ball = np.random.default_rng(0).normal(size=(300, 3))
     ball *= RADIUS / np.linalg.norm(ball, axis=1, keepdims=True)
-    surface = Surface(ball, ball / RADIUS, np.ones_like(ball), 0.2 * RADIUS)
+    surface = SurfacePoints(ball, ball / RADIUS, np.ones_like(ball), 0.2 * RADIUS)
     way = np.linspace(0, 1, 5)[:, None, None] * TRAVEL
     xyz, lost = ball + way, np.zeros((5, 300), dtype=bool)
     lost[2:, ball[:, 0] > 0] = True
     xyz[lost] = np.broadcast_to(ball + way[1], xyz.shape)[lost]
-    return surface, Tracks(np.linspace(0, 1, 5), xyz, lost, np.zeros(2)), way[:, 0]
+    return surface, SurfaceTracks(np.linspace(0, 1, 5), xyz, lost, np.zeros(2)), way[:, 0]
 
 
 def test_points_that_are_lost_after_a_while_go_with_their_part(session: Scene, rest: RestModel) -> None:
@@ -628,7 +630,7 @@ def test_parts_are_soft_where_that_explains_more_than_chance(
     way = times * TRAVEL + xyz + times * (xyz @ stretch - xyz)
     way[1:] += rng.normal(0, 0.5 * rest.canonical.voxel, way[1:].shape)
     tracks = replace(found.tracks, xyz=way, lost=np.zeros(way.shape[:2], bool))
-    surface = Surface(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
+    surface = SurfacePoints(xyz, xyz / RADIUS, np.ones_like(xyz), 0.1)
     found = replace(found, surface=surface, tracks=tracks, labels=np.zeros(len(xyz), int))
     monkeypatch.setattr("devrf.reconstruct.training.moving_parts.find_movers", lambda *arguments: (found, []))
     session = ball_clips(ball, tmp_path, 2 * TIMES + 1, TRAVEL, stretch)
@@ -688,7 +690,7 @@ def test_a_field_is_trained_too_where_movers_explain_little(
     tracked(TRAVEL)
     model, module = whole(rest, TRAVEL), "devrf.reconstruct.training.moving_parts."
     assert model.movers is not None and model.in_motion is not None
-    trained = Trained(model.in_motion, model.movers, errors(1), errors(0), errors(-parts_db), COST)
+    trained = TrainedParts(model.in_motion, model.movers, errors(1), errors(0), errors(-parts_db), COST)
     asked, learn = (
         Mock(return_value=field),
         Mock(return_value=(DynamicModel(rest), {**COST, "decisions": []})),
@@ -775,9 +777,9 @@ def test_a_part_that_is_lost_is_said(rest: RestModel) -> None:
     lost = np.zeros((8, 4), bool)
     lost[1, :3] = lost[3:6, :3] = lost[6:, 0] = True  # one moment, three in a row; then hardly anything
     xyz = np.eye(4, 3)
-    tracks = Tracks(np.linspace(0, 1, 8), np.tile(xyz, (8, 1, 1)), lost, np.zeros(2))
-    surface = Surface(xyz, xyz, xyz, 0.1)
-    found = Found(surface, tracks, np.zeros(4, int), model.in_motion.canonical, model.movers, {})
+    tracks = SurfaceTracks(np.linspace(0, 1, 8), np.tile(xyz, (8, 1, 1)), lost, np.zeros(2))
+    surface = SurfacePoints(xyz, xyz, xyz, 0.1)
+    found = TrackedParts(surface, tracks, np.zeros(4, int), model.in_motion.canonical, model.movers, {})
     box_from_world = np.diag([0.5, 0.5, 0.5, 1.0])
     (told,) = found.told(box_from_world)
     assert told == {"part": 1, "at": [0.5, 0.5, 0.5], "points": 4, "goes": 0.0, "longest_lost": 3}

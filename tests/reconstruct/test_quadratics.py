@@ -7,7 +7,7 @@ import pytest
 
 import devrf.reconstruct.tracking.solver.quadratics as module
 from devrf.capture.camera import Camera
-from devrf.reconstruct.tracking.solver.quadratics import Seen, Sum, huber_weight
+from devrf.reconstruct.tracking.solver.quadratics import SeenPoints, Sum, huber_weight
 
 POINTS, SHARE, HUBER = 40, 0.7, 1e3
 CAMERA = Camera(
@@ -24,10 +24,10 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture
-def seen(rng: np.random.Generator) -> Seen:
+def seen(rng: np.random.Generator) -> SeenPoints:
     xyz = rng.uniform(-0.5, 0.5, (POINTS // 2, 3))
     points = rng.permutation(POINTS)[: POINTS // 2]
-    return Seen(points, xyz, CAMERA.project(xyz), CAMERA, SHARE)
+    return SeenPoints(points, xyz, CAMERA.project(xyz), CAMERA, SHARE)
 
 
 @pytest.fixture(params=[True, False], ids=["warp", "written out"])
@@ -35,7 +35,7 @@ def warp(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(module, "use_warp", lambda device: request.param)
 
 
-def gauss_newton(seen: Seen, residuals, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def gauss_newton(seen: SeenPoints, residuals, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """H and b of all points by central differences of their residuals."""
     step, columns = 1e-5, []
     for axis in np.eye(3):
@@ -49,7 +49,7 @@ def gauss_newton(seen: Seen, residuals, weight: np.ndarray) -> tuple[np.ndarray,
 
 
 @pytest.mark.usefixtures("warp")
-def test_points_are_pulled_to_places(rng: np.random.Generator, seen: Seen) -> None:
+def test_points_are_pulled_to_places(rng: np.random.Generator, seen: SeenPoints) -> None:
     target, weight = seen.at + rng.normal(size=seen.at.shape), rng.random(len(seen.points))
     sums = Sum(POINTS)
     sums.add_places(seen, target, weight, HUBER)
@@ -60,7 +60,7 @@ def test_points_are_pulled_to_places(rng: np.random.Generator, seen: Seen) -> No
 
 
 @pytest.mark.usefixtures("warp")
-def test_points_are_pulled_to_where_they_look_alike(rng: np.random.Generator, seen: Seen) -> None:
+def test_points_are_pulled_to_where_they_look_alike(rng: np.random.Generator, seen: SeenPoints) -> None:
     apart, slope = rng.normal(size=(len(seen.at), 3)), rng.normal(size=(len(seen.at), 3, 2))
     begin, sums = seen.at + rng.normal(size=seen.at.shape), Sum(POINTS)
     sums.add_brightness(seen, apart, slope, begin, 2.5, HUBER)
@@ -74,7 +74,7 @@ def test_points_are_pulled_to_where_they_look_alike(rng: np.random.Generator, se
 
 
 @pytest.mark.usefixtures("warp")
-def test_what_is_far_off_weighs_less_and_what_is_not_seen_nothing(seen: Seen) -> None:
+def test_what_is_far_off_weighs_less_and_what_is_not_seen_nothing(seen: SeenPoints) -> None:
     off, one = np.linspace(0, 8, len(seen.at)), np.ones(len(seen.at))
     far, full = Sum(POINTS), Sum(POINTS)
     far.add_places(seen, seen.at + off[:, None] * [0.6, 0.8], one, 2.0)
@@ -86,14 +86,14 @@ def test_what_is_far_off_weighs_less_and_what_is_not_seen_nothing(seen: Seen) ->
     none.add_places(replace(seen, at=np.full_like(seen.at, np.nan)), seen.at, one, 2.0)
     unknown = np.full((len(seen.at), 3), np.nan)
     none.add_brightness(seen, unknown, np.ones((len(seen.at), 3, 2)), seen.at, 1.0, 2.0)
-    nobody = Seen(seen.points[:0], seen.xyz[:0], seen.at[:0], CAMERA, SHARE)
+    nobody = SeenPoints(seen.points[:0], seen.xyz[:0], seen.at[:0], CAMERA, SHARE)
     none.add_places(nobody, seen.at[:0], one[:0], 2.0)
     none.add_brightness(nobody, unknown[:0], np.ones((0, 3, 2)), seen.at[:0], 1.0, 2.0)
     assert not none.hessian.any() and not none.gradient.any()
 
 
 @pytest.mark.usefixtures("warp")
-def test_pictures_add_up_and_some_points_can_be_left_out(seen: Seen) -> None:
+def test_pictures_add_up_and_some_points_can_be_left_out(seen: SeenPoints) -> None:
     one, target = np.ones(len(seen.at)), seen.at + 1.0
     first, both = Sum(POINTS), Sum(POINTS)
     first.add_places(seen, target, one, HUBER)

@@ -25,7 +25,7 @@ from tests.make.scenes import scene_of
 from tests.reconstruct.conftest import around, look_at
 
 from devrf.capture.camera import Camera
-from devrf.capture.formats.geometry.ply import write_splat_ply
+from devrf.capture.formats.geometry.ply import GaussianVertices, write_splat_ply
 from devrf.capture.scene import PosedFrame, Scene
 from devrf.reconstruct.kernels.splat import FAINT, splat, splat_ref
 from devrf.reconstruct.rendering.model import DynamicModel, render_view
@@ -40,10 +40,10 @@ from devrf.reconstruct.splats.gaussians import (
     tiles_of,
     transformed,
 )
-from devrf.reconstruct.splats.looks import Look, squared
+from devrf.reconstruct.splats.looks import ModelView, squared
 from devrf.reconstruct.splats.make import Splats, make_splats
 from devrf.reconstruct.splats.moving import moved
-from devrf.reconstruct.splats.packed import Packed, pack, size_at_most
+from devrf.reconstruct.splats.packed import PackedSplats, pack, size_at_most
 
 SIZE = (30, 21)
 BEHIND = torch.tensor([0.2, 0.5, 0.9])
@@ -203,7 +203,7 @@ def test_none_becomes_finer_than_what_pictures_show(made: tuple[DynamicModel, Sp
     """Else they would be dots with gaps between them from nearer, or in a larger picture."""
     dots = replace(made[1].gaussians, log_scales=torch.full_like(made[1].gaussians.log_scales, -9.0))
     camera = look_at(around(16, 0.2, 0.35)[3])
-    picture = Look(camera, 0.5, torch.from_numpy(render_view(made[0], camera, 0.5)))
+    picture = ModelView(camera, 0.5, torch.from_numpy(render_view(made[0], camera, 0.5)))
     fitted = fit(made[0], (dots, None), [picture], made[1].behind, rounds=1)
     finest = FINEST_PX * pixel_sizes(fitted.places, [camera])
     assert (finest > 0).any() and (fitted.log_scales.exp() > 0.9 * finest[:, None]).all()
@@ -266,7 +266,7 @@ def test_splats_on_soft_parts_each_have_a_way_of_their_own(tmp_path: Path) -> No
     torch.testing.assert_close(there[on], at_rest[on] @ (turns @ stretch).T + shifts, rtol=0, atol=1e-4)
 
 
-def outside_of_swept(packed: Packed, splats: Splats, model: DynamicModel) -> float:
+def outside_of_swept(packed: PackedSplats, splats: Splats, model: DynamicModel) -> float:
     """How far splats on nodes come out of the box that the page holds them to be in."""
     assert splats.nodes is not None
     lo, hi = (torch.tensor(end) for end in packed.about["swept"])
@@ -313,8 +313,8 @@ def test_the_longest_way_there_and_back_fits() -> None:
 def test_a_splat_file_opens_in_plyfile(tmp_path: Path) -> None:
     plyfile = pytest.importorskip("plyfile")
     g, path = some(7), tmp_path / "s.ply"
-    xyz, rgb, logits = g.places.numpy(), g.colours.numpy(), g.logits.numpy()
-    write_splat_ply(path, xyz, rgb, logits, g.log_scales.numpy(), g.quats.numpy(), ["unit: metres"])
+    arrays = [x.numpy() for x in (g.places, g.colours, g.logits, g.log_scales, g.quats)]
+    write_splat_ply(path, GaussianVertices(*arrays), ["unit: metres"])
     vertex = plyfile.PlyData.read(str(path))["vertex"]
     names = [p.name for p in vertex.properties]
     assert names[:6] == ["x", "y", "z", "nx", "ny", "nz"] and names[-4:] == [f"rot_{k}" for k in range(4)]

@@ -21,7 +21,7 @@ from devrf.flow.dis import DisFlow
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.training_log import TrainingLog
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
-from devrf.reconstruct.tracking.follow import Tracks, _Following, _Task, follow_both_ways, moments
+from devrf.reconstruct.tracking.follow import SurfaceTracks, _Following, _Task, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.likelihoods import MOMENTS, Likelihoods, likelihoods
 from devrf.reconstruct.tracking.lost import recovery
@@ -34,9 +34,9 @@ from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose
 from devrf.reconstruct.tracking.solver.normal_equations import Pulls
 from devrf.reconstruct.tracking.solver.solve import step
-from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.surface import SurfacePoints
 from devrf.reconstruct.tracking.trajectory import Trajectory
-from devrf.reconstruct.tracking.views.film import Film, fetched
+from devrf.reconstruct.tracking.views.film import CameraFilm, fetched
 from devrf.reconstruct.tracking.views.shot import Shot
 from devrf.reconstruct.tracking.views.sight import Sight
 
@@ -88,16 +88,16 @@ def picture(camera: Camera, time: float) -> np.ndarray:
     return (255 * out).round().astype(np.uint8)
 
 
-def on_cards() -> tuple[Surface, np.ndarray]:
+def on_cards() -> tuple[SurfacePoints, np.ndarray]:
     """Points on both cards at rest, and the card of each."""
     along = np.arange(-SIDE + SPACING / 2, SIDE, SPACING)
     x, z = (grid.ravel() for grid in np.meshgrid(along, along))
     flat = np.stack([x, np.zeros_like(x), z], 1)
     xyz, card = np.concatenate([flat + centre for centre in CENTRES]), np.repeat([0, 1], len(flat))
-    return Surface(xyz, np.tile([0.0, 1.0, 0.0], (len(xyz), 1)), np.full_like(xyz, 0.5), SPACING), card
+    return SurfacePoints(xyz, np.tile([0.0, 1.0, 0.0], (len(xyz), 1)), np.full_like(xyz, 0.5), SPACING), card
 
 
-def true_tracks(surface: Surface, card: np.ndarray, times: np.ndarray) -> np.ndarray:
+def true_tracks(surface: SurfacePoints, card: np.ndarray, times: np.ndarray) -> np.ndarray:
     out = np.empty((len(times), len(surface), 3))
     for n, time in enumerate(times):
         for number, centre in enumerate(CENTRES):
@@ -107,7 +107,7 @@ def true_tracks(surface: Surface, card: np.ndarray, times: np.ndarray) -> np.nda
     return out
 
 
-def filmed(folder: Path, times: np.ndarray) -> list[Film]:
+def filmed(folder: Path, times: np.ndarray) -> list[CameraFilm]:
     """The cards as three cameras film them at the same moments, in pictures a `GAP` apart."""
     out = []
     for name, eye in (("left", [-1.2, 2.2, 0.5]), ("middle", [0.1, 2.5, 0.2]), ("right", [1.2, 2.2, 0.4])):
@@ -122,24 +122,24 @@ def filmed(folder: Path, times: np.ndarray) -> list[Film]:
             frames.append(PosedFrame(path, camera, name, n, taken[n], taken[n], "train"))
         away = np.full((180, 240), np.inf)
         plate = np.zeros((180, 240, 3), np.float32) + 0.5
-        out.append(Film(camera, frames, taken, 1.0, "shell", DisFlow(), away, plate))
+        out.append(CameraFilm(camera, frames, taken, 1.0, "shell", DisFlow(), away, plate))
     return out
 
 
 @pytest.fixture(scope="module")
-def films(tmp_path_factory: pytest.TempPathFactory) -> list[Film]:
+def films(tmp_path_factory: pytest.TempPathFactory) -> list[CameraFilm]:
     return filmed(tmp_path_factory.mktemp("cards"), GAP * np.arange(PICTURES))
 
 
 @pytest.fixture(scope="module")
-def tracks(films: list[Film]) -> Tracks:
+def tracks(films: list[CameraFilm]) -> SurfaceTracks:
     surface, _ = on_cards()
     tracks, decisions = follow_both_ways(Graph(surface), films, 0.5)  # the clocks are right
     assert not decisions
     return tracks
 
 
-def test_points_are_followed_from_the_middle_to_both_ends(tracks: Tracks) -> None:
+def test_points_are_followed_from_the_middle_to_both_ends(tracks: SurfaceTracks) -> None:
     surface, card = on_cards()
     assert not tracks.offsets.any()
     assert np.allclose(tracks.times, np.linspace(0, 1, PICTURES))
@@ -223,7 +223,7 @@ def test_a_clock_that_is_wrong_by_more_than_a_picture_is_found(tmp_path: Path) -
     assert np.median(off[-4:-2]) < 0.01
 
 
-def test_what_is_lost_is_found_again_from_another_guess(films: list[Film]) -> None:
+def test_what_is_lost_is_found_again_from_another_guess(films: list[CameraFilm]) -> None:
     surface, card = on_cards()
     graph = Graph(surface)
     of_node = np.argmin(np.abs(graph.nodes[:, :1] - CENTRES[:, 0]), axis=1)
@@ -263,7 +263,7 @@ def test_what_goes_far_from_one_picture_to_the_next_is_found(tmp_path: Path, mon
     [(3, 25, 0.04), (12, 25, 0.04), (24, 25, 0.08), (60, 25, 0.08), (60, 10, 0.1)],
 )
 def test_moments_of_long_clips_are_farther_apart_but_never_far(
-    films: list[Film], seconds: float, a_second: float, apart_s: float
+    films: list[CameraFilm], seconds: float, a_second: float, apart_s: float
 ) -> None:
     taken = np.linspace(0, seconds, round(seconds * a_second) + 1)
     ends = [replace(films[0].frames[0], time_s=float(taken[n])) for n in (0, -1)]
@@ -271,7 +271,7 @@ def test_moments_of_long_clips_are_farther_apart_but_never_far(
     assert before == 0 and len(times) == pytest.approx(1 + seconds / apart_s, abs=1)
 
 
-def test_flow_is_followed_from_the_picture_at_the_moment_before(films: list[Film]) -> None:
+def test_flow_is_followed_from_the_picture_at_the_moment_before(films: list[CameraFilm]) -> None:
     """Three pictures lie between two moments: where points are in the last of them nothing has said yet."""
     surface, card = on_cards()
     with ThreadPoolExecutor(1) as pool:
@@ -288,7 +288,7 @@ def test_flow_is_followed_from_the_picture_at_the_moment_before(films: list[Film
 
 
 def test_a_camera_that_films_seldom_says_where_points_come_from_at_its_own_time(
-    films: list[Film], monkeypatch: pytest.MonkeyPatch
+    films: list[CameraFilm], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its last picture lies several moments back, where everything stood."""
     surface, card = on_cards()
@@ -341,7 +341,7 @@ class Remembers:
 
 @pytest.mark.parametrize("contrast", [False, True])
 def test_methods_of_flow_see_colours_but_those_that_ask_for_contrast(
-    films: list[Film], contrast: bool
+    films: list[CameraFilm], contrast: bool
 ) -> None:
     """Of the pictures that were taken and of those that are drawn."""
     surface, _ = on_cards()
@@ -366,7 +366,7 @@ def test_methods_of_flow_see_colours_but_those_that_ask_for_contrast(
         assert 0.2 < on_card.mean() < 0.9
 
 
-def test_all_that_is_lost_is_looked_for_at_the_same_moments(films: list[Film], monkeypatch) -> None:
+def test_all_that_is_lost_is_looked_for_at_the_same_moments(films: list[CameraFilm], monkeypatch) -> None:
     """One more node is lost at each moment; how far things went is only asked of what was not lost before."""
     surface, _ = on_cards()
     graph = Graph(surface)
@@ -399,7 +399,7 @@ def gone_as_one(graph: Graph, lost: np.ndarray) -> tuple[Pose, Pose]:
     return pose, wrong
 
 
-def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[Film]) -> None:
+def test_what_pictures_do_not_show_is_lost_and_carried_along(films: list[CameraFilm]) -> None:
     surface, card = on_cards()
     graph = Graph(surface)
     lost = np.flatnonzero(graph.nodes[:, 0] > CENTRES[1, 0] + 0.15)
@@ -442,7 +442,7 @@ def test_a_limb_that_is_lost_stays_as_it_was_beside_what_is_around() -> None:
     ("gap", "along", "goes"), [(0.1, True, True), (0.1, False, False), (1.0, True, False)]
 )
 def test_what_hangs_on_nothing_goes_along_with_what_is_near(
-    films: list[Film], gap: float, along: bool, goes: bool
+    films: list[CameraFilm], gap: float, along: bool, goes: bool
 ) -> None:
     """A head above a trunk, which it does not touch; not what came from elsewhere, nor what is far."""
     surface, card = on_cards()
@@ -464,7 +464,7 @@ def test_what_hangs_on_nothing_goes_along_with_what_is_near(
 
 
 def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(
-    films: list[Film], monkeypatch: pytest.MonkeyPatch
+    films: list[CameraFilm], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     surface, card = on_cards()
     graph = Graph(surface)
@@ -492,7 +492,7 @@ def test_what_pictures_seem_to_want_of_lost_points_does_not_pull_what_is_around(
         assert believed(graph, graph.nodes[:, 0] > 0).all()  # all of a card: nothing hangs on it
 
 
-def test_what_one_camera_films_alone_goes_on_as_it_went(films: list[Film]) -> None:
+def test_what_one_camera_films_alone_goes_on_as_it_went(films: list[CameraFilm]) -> None:
     surface, _ = on_cards()
     graph = Graph(surface)
     short = [films[0], *(replace(f, frames=f.frames[:6], times=f.times[:6]) for f in films[1:])]
@@ -508,7 +508,11 @@ class Killed(Exception):
 # of the first run; of the second
 @pytest.mark.parametrize("moments", [2, pytest.param(6, marks=pytest.mark.full)])
 def test_tracking_that_was_killed_goes_on_where_it_was(
-    films: list[Film], tracks: Tracks, moments: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    films: list[CameraFilm],
+    tracks: SurfaceTracks,
+    moments: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     surface, _ = on_cards()
     checkpoint = Checkpoint(tmp_path / "state.safetensors", "these", every_s=0.0)
@@ -532,7 +536,7 @@ def test_tracking_that_was_killed_goes_on_where_it_was(
 
 
 @pytest.fixture
-def followed(films: list[Film], monkeypatch: pytest.MonkeyPatch):
+def followed(films: list[CameraFilm], monkeypatch: pytest.MonkeyPatch):
     """What following comes to is decided by the test: the likeness of pictures left out, by the first offset."""
 
     def decide(likeness: Callable[[float], float]) -> list[float]:
@@ -545,7 +549,7 @@ def followed(films: list[Film], monkeypatch: pytest.MonkeyPatch):
                 left_out.add(0, n, n / 8, np.full(50, likeness(by[-1]) + 0.001 * (n % 2)))
             where = np.tile(task.graph.surface.xyz, (len(task.times), 1, 1))
             lost = np.zeros(where.shape[:2], dtype=bool)
-            return _Following(Tracks(task.times, where, lost, offsets), {}, left_out)
+            return _Following(SurfaceTracks(task.times, where, lost, offsets), {}, left_out)
 
         monkeypatch.setattr(_Task, "both_ways", both_ways)
         return by
@@ -555,7 +559,7 @@ def followed(films: list[Film], monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.parametrize("gain", [0.1, 0.0, -0.1])
 def test_clocks_are_moved_where_cameras_left_out_agree_more(
-    films: list[Film], monkeypatch: pytest.MonkeyPatch, followed, gain: float
+    films: list[CameraFilm], monkeypatch: pytest.MonkeyPatch, followed, gain: float
 ) -> None:
     surface, _ = on_cards()
     followed(lambda late: gain * (late > 0))
@@ -581,7 +585,11 @@ def test_clocks_are_moved_where_cameras_left_out_agree_more(
     ],
 )
 def test_everything_is_followed_again_until_offsets_settle(
-    films: list[Film], monkeypatch: pytest.MonkeyPatch, followed, told: list[float], with_which: list[float]
+    films: list[CameraFilm],
+    monkeypatch: pytest.MonkeyPatch,
+    followed,
+    told: list[float],
+    with_which: list[float],
 ) -> None:
     surface, _ = on_cards()
     said, by = iter(told), followed(lambda late: late)
@@ -599,7 +607,7 @@ def test_everything_is_followed_again_until_offsets_settle(
     [((0, 1, 2), [[0, 0, 0]]), ((0,), [[0, 0, 0], [0, -0.5, -0.5]]), ((1, 2), [[0, 0, 0], [0.5, 0, 0]])],
 )
 def test_clocks_that_are_known_stay(
-    films: list[Film],
+    films: list[CameraFilm],
     monkeypatch: pytest.MonkeyPatch,
     followed,
     sure: tuple[int, ...],
@@ -640,7 +648,7 @@ def test_what_was_left_out_is_kept_and_compared() -> None:
     assert empty.gain_over(one).side() == 0 and empty.with_those_of(one).pictures == one.pictures
 
 
-def test_two_motions_are_two_parts(tracks: Tracks) -> None:
+def test_two_motions_are_two_parts(tracks: SurfaceTracks) -> None:
     surface, card = on_cards()
     labels = rigid_parts(surface.xyz, tracks.xyz, tracks.lost, Graph(surface).links, voxel=0.02)
     assert labels.max() == 1
@@ -662,7 +670,7 @@ def test_what_is_lost_belongs_to_what_it_moved_with_while_it_was_seen(since: int
     assert rigid_parts(surface.xyz, xyz, np.zeros_like(lost), links, 0.02).max() > 1
 
 
-def cards_and_wall() -> Surface:
+def cards_and_wall() -> SurfacePoints:
     """The points on the cards, then those on the wall."""
     cards, _ = on_cards()
     along = np.arange(-0.9, 0.9, SPACING)
@@ -670,11 +678,11 @@ def cards_and_wall() -> Surface:
     wall = np.stack([x, np.full_like(x, WALL), z], 1)
     xyz = np.concatenate([cards.xyz, wall])
     normals = np.tile([0.0, 1.0, 0.0], (len(xyz), 1))
-    return Surface(xyz, normals, np.concatenate([cards.rgb, np.zeros_like(wall)]), SPACING)
+    return SurfacePoints(xyz, normals, np.concatenate([cards.rgb, np.zeros_like(wall)]), SPACING)
 
 
 @pytest.mark.parametrize("hues", [True, False], ids=["many hues", "one hue"])
-def test_the_wall_stands_and_the_cards_move(films: list[Film], hues: bool) -> None:
+def test_the_wall_stands_and_the_cards_move(films: list[CameraFilm], hues: bool) -> None:
     """Also where all that tells one place of a card from another is that it is a little brighter."""
     if not hues:
         hue = np.array([0.6, 0.9, 0.8])
@@ -692,14 +700,14 @@ def flat(side: int) -> np.ndarray:
     return np.stack([*(grid.ravel() for grid in np.meshgrid(along, along)), np.zeros(side**2)], 1)
 
 
-def cut(surface: Surface, votes: np.ndarray) -> np.ndarray:
+def cut(surface: SurfacePoints, votes: np.ndarray) -> np.ndarray:
     return _cut(surface, _links(surface), votes)
 
 
-def level(xyz: np.ndarray, rgb: np.ndarray | float = 0.4) -> Surface:
+def level(xyz: np.ndarray, rgb: np.ndarray | float = 0.4) -> SurfacePoints:
     """A surface of points that all look up."""
     colours = np.broadcast_to(np.asarray(rgb).reshape(-1, 1), xyz.shape)
-    return Surface(xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), colours, SPACING)
+    return SurfacePoints(xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), colours, SPACING)
 
 
 @pytest.mark.parametrize(("height", "moves"), [(1.5 * SPACING, True), (0.0, False)])
@@ -730,7 +738,7 @@ def test_a_brick_does_not_belong_to_the_brick_below() -> None:
     x, z = (grid.ravel() for grid in np.meshgrid(along, along))
     xyz, upper = np.stack([x, np.zeros_like(x), z], 1), z > 6.5 * SPACING
     rgb = np.where(upper[:, None], [0.7, 0.4, 0.2], [0.4, 0.4, 0.4])
-    surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
+    surface = SurfacePoints(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
     assert np.array_equal(cut(surface, np.where(upper, 3.0, -3.0)), upper)
 
 
@@ -739,7 +747,7 @@ def test_a_strip_that_looks_as_at_rest_belongs_to_the_sheet_beside_it() -> None:
     x, z = (grid.ravel() for grid in np.meshgrid(np.arange(40) * SPACING, np.arange(14) * SPACING))
     xyz, strip = np.stack([x, np.zeros_like(x), z], 1), x > 19.5 * SPACING
     rgb = np.where(strip[:, None], [0.7, 0.5, 0.5], [0.5, 0.5, 0.5])
-    surface = Surface(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
+    surface = SurfacePoints(xyz, np.tile([0.0, -1.0, 0.0], (len(xyz), 1)), rgb, SPACING)
     assert cut(surface, np.where(strip, -0.6, 3.0)).all()
 
 
@@ -770,7 +778,9 @@ def test_planes_are_those_that_hold_much_of_what_stands() -> None:
         (lambda x: np.roll(x, (31, 47), axis=(0, 1)), -1),  # something else with the same colours
     ],
 )
-def test_a_picture_tells_whether_a_point_is_there(films: list[Film], change: Callable, told: int) -> None:
+def test_a_picture_tells_whether_a_point_is_there(
+    films: list[CameraFilm], change: Callable, told: int
+) -> None:
     changed = [
         otherwise(film, lambda n, x, f=film: x if n == REST else change(f.picture(REST))) for film in films
     ]
@@ -782,7 +792,7 @@ def test_a_picture_tells_whether_a_point_is_there(films: list[Film], change: Cal
     assert moved.any() and (sign == told).mean() > 0.85
 
 
-def test_where_all_looks_alike_a_picture_tells_nothing(films: list[Film]) -> None:
+def test_where_all_looks_alike_a_picture_tells_nothing(films: list[CameraFilm]) -> None:
     plain = [otherwise(film, lambda n, x: np.full_like(x, 0.6)) for film in films]
     seen = likelihoods(on_cards()[0], plain, 0.5)
     assert seen.known.any() and np.abs(seen.there - seen.other).max() < 0.5
@@ -811,12 +821,12 @@ def test_what_moves_is_gone_for_all_cameras_at_once(cameras: list[list[float]], 
     assert (_log_odds(both)[0] + PRIOR > 0) == moves
 
 
-def test_a_point_is_hidden_by_what_is_before_it(films: list[Film]) -> None:
+def test_a_point_is_hidden_by_what_is_before_it(films: list[CameraFilm]) -> None:
     film = films[1]
     line = film.camera.centre / np.linalg.norm(film.camera.centre)
     ring = 0.02 * np.stack([np.cos(np.arange(6)), np.zeros(6), np.sin(np.arange(6))], 1)
     xyz = np.concatenate([0.6 * line + ring, 0.1 * line + ring])
-    surface = Surface(xyz, np.tile(line, (12, 1)), np.full_like(xyz, 0.5), 0.1)
+    surface = SurfacePoints(xyz, np.tile(line, (12, 1)), np.full_like(xyz, 0.5), 0.1)
     seen = Sight(film, surface).seen
     assert seen[:6].all() and not seen[6:].any()
     assert not Sight(film, replace(surface, normals=-surface.normals)).seen.any()
@@ -940,20 +950,20 @@ def test_more_points_than_a_row_are_looked_up() -> None:
     assert fetched(np.zeros((4, 4, 3)), np.zeros((0, 2))).shape == (0, 3)
 
 
-def test_time_can_run_backwards(films: list[Film]) -> None:
+def test_time_can_run_backwards(films: list[CameraFilm]) -> None:
     back = films[0].backwards()
     assert np.array_equal(back.times, -films[0].times[::-1])
     assert np.array_equal(back.picture(0), films[0].picture(PICTURES - 1))
     assert back.nearest(-1.0, 0.01) == 0 and back.nearest(-0.44, 0.01) is None
 
 
-def test_a_camera_that_does_not_film_the_rest_says_nothing_of_what_moves(films: list[Film]) -> None:
+def test_a_camera_that_does_not_film_the_rest_says_nothing_of_what_moves(films: list[CameraFilm]) -> None:
     surface, _ = on_cards()
     late = [replace(film, frames=film.frames[6:], times=film.times[6:]) for film in films]
     assert not moving_points(surface, late, 0.5).any()
 
 
-def test_pictures_are_read_once_while_they_are_asked_for(films: list[Film], monkeypatch) -> None:
+def test_pictures_are_read_once_while_they_are_asked_for(films: list[CameraFilm], monkeypatch) -> None:
     read: list[int] = []
 
     def counted(frame: PosedFrame, *others):
@@ -968,7 +978,7 @@ def test_pictures_are_read_once_while_they_are_asked_for(films: list[Film], monk
     assert read == [PICTURES - 1 - n for n in range(5)]
 
 
-def otherwise(film: Film, change: Callable[[int, np.ndarray], np.ndarray]) -> Film:
+def otherwise(film: CameraFilm, change: Callable[[int, np.ndarray], np.ndarray]) -> CameraFilm:
     """With what is made of its pictures, by their numbers."""
     pictures = {n: change(n, film.picture(n)) for n in range(len(film.times))}
     eight_bit = {n: (255 * picture).round().astype(np.uint8) for n, picture in pictures.items()}
@@ -977,12 +987,12 @@ def otherwise(film: Film, change: Callable[[int, np.ndarray], np.ndarray]) -> Fi
 
 @pytest.mark.parametrize(("colour", "edge_px"), [("grey", 2.0), ("grey", 0.0), ("red", 2.0)])
 def test_a_shade_that_crosses_what_stands_moves_nothing(
-    films: list[Film], colour: str, edge_px: float
+    films: list[CameraFilm], colour: str, edge_px: float
 ) -> None:
     """A band that takes half of the light of standing cards and wall; were it red, it would count."""
     takes = np.array([0.5, 0.5, 0.5] if colour == "grey" else [0.0, 0.5, 0.5])
 
-    def shaded(film: Film, n: int) -> np.ndarray:
+    def shaded(film: CameraFilm, n: int) -> np.ndarray:
         across = np.linspace(0, 1, film.camera.width)
         band = (np.abs(across - n / (PICTURES - 1)) < 0.25) & (n != REST)
         return film.picture(REST) * (1 - gaussian_filter(band.astype(float), edge_px)[:, None] * takes)
@@ -992,7 +1002,7 @@ def test_a_shade_that_crosses_what_stands_moves_nothing(
     assert moves.any() == (colour == "red")
 
 
-def test_a_camera_that_is_bumped_does_not_end_tracking(films: list[Film]) -> None:
+def test_a_camera_that_is_bumped_does_not_end_tracking(films: list[CameraFilm]) -> None:
     surface, _ = on_cards()
     K, turn = films[0].camera.K, Rotation.from_rotvec([0, np.radians(2), 0]).as_matrix()
     seen = K @ turn @ np.linalg.inv(K)
@@ -1002,7 +1012,7 @@ def test_a_camera_that_is_bumped_does_not_end_tracking(films: list[Film]) -> Non
 
 
 @pytest.mark.full
-def test_a_film_at_half_the_rate_is_followed_as_well(films: list[Film]) -> None:
+def test_a_film_at_half_the_rate_is_followed_as_well(films: list[CameraFilm]) -> None:
     surface, card = on_cards()
     slow = replace(films[0], frames=films[0].frames[::2], times=films[0].times[::2])
     found = follow_both_ways(Graph(surface), [slow, *films[1:]], 0.5)[0]

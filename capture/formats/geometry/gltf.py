@@ -51,7 +51,7 @@ class Way:
 
 
 @dataclass(frozen=True)
-class Mesh:
+class GltfMesh:
     """One mesh.
 
     Attributes:
@@ -73,7 +73,7 @@ class Mesh:
 
 def write_glb(
     path: Path,
-    meshes: Sequence[Mesh],
+    meshes: Sequence[GltfMesh],
     times_s: Sequence[float],
     turn: Float[np.ndarray, "3 3"],
     name: str,
@@ -135,19 +135,19 @@ def write_glb(
         file.write(struct.pack("<II", len(data), BIN_CHUNK) + data)
 
 
-def _inner(meshes: Sequence[Mesh]) -> dict[int, tuple[int, Way]]:
+def _inner(meshes: Sequence[GltfMesh]) -> dict[int, tuple[int, Way]]:
     """Of meshes that stretch, by their numbers: the node inside theirs, which comes after all others, and the way."""
     soft = [(n, way) for n, mesh in enumerate(meshes) if (way := mesh.way) and way.stretches is not None]
     return {n: (1 + len(meshes) + k, way) for k, (n, way) in enumerate(soft)}
 
 
-def _node(mesh: Mesh, number: int, inner: int | None) -> dict[str, Any]:
+def _node(mesh: GltfMesh, number: int, inner: int | None) -> dict[str, Any]:
     held: dict[str, Any] = {"mesh": number} if inner is None else {"children": [inner]}
     node = held | {"name": mesh.name}
     return node if mesh.way is None else node | {"translation": mesh.way.pivot.tolist()}
 
 
-def _mesh(parts: "_Parts", mesh: Mesh) -> dict[str, Any]:
+def _mesh(parts: "_Parts", mesh: GltfMesh) -> dict[str, Any]:
     # glTF's colours are linear light
     colours = np.concatenate([linear_from_srgb(mesh.rgb), np.ones((len(mesh.rgb), 1))], axis=1)
     vertices = mesh.vertices if mesh.way is None else mesh.vertices - mesh.way.pivot
@@ -167,7 +167,7 @@ def _mesh(parts: "_Parts", mesh: Mesh) -> dict[str, Any]:
     return shape
 
 
-def _courses(mesh: Mesh) -> Iterator[tuple[str, np.ndarray]]:
+def _courses(mesh: GltfMesh) -> Iterator[tuple[str, np.ndarray]]:
     """What of a mesh's node changes, and its values at the key times."""
     if mesh.shapes:
         yield "weights", np.eye(len(mesh.shapes)).reshape(-1, 1)  # at each key time one shape alone

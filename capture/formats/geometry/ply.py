@@ -7,6 +7,7 @@ deviations), rot_0..3 (unit quaternion w x y z).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,20 +39,32 @@ def write_ply(
     _write(path, len(xyz), head, vertices.tobytes(), comments)
 
 
-def write_splat_ply(
-    path: Path,
-    xyz: Float[np.ndarray, "n 3"],
-    rgb: Float[np.ndarray, "n 3"],
-    logits: Float[np.ndarray, " n"],
-    log_scales: Float[np.ndarray, "n 3"],
-    quats: Float[np.ndarray, "n 4"],
-    comments: Sequence[str] = (),
-) -> None:
-    """Write Gaussians; colours in [0, 1], quaternions w x y z of any length but 0."""
-    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    values = [xyz, np.zeros_like(xyz), (rgb - 0.5) / SH0, logits[:, None], log_scales, unit]
+@dataclass(frozen=True)
+class GaussianVertices:
+    """3D Gaussians to be written.
+
+    Attributes:
+        xyz: Centres.
+        rgb: Colours in [0, 1].
+        logits: Opacities before the sigmoid.
+        log_scales: Logarithms of the standard deviations.
+        quats: Orientations w x y z, of any length but 0.
+    """
+
+    xyz: Float[np.ndarray, "n 3"]
+    rgb: Float[np.ndarray, "n 3"]
+    logits: Float[np.ndarray, " n"]
+    log_scales: Float[np.ndarray, "n 3"]
+    quats: Float[np.ndarray, "n 4"]
+
+
+def write_splat_ply(path: Path, splats: GaussianVertices, comments: Sequence[str] = ()) -> None:
+    """Write Gaussians."""
+    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    colours = (splats.rgb - 0.5) / SH0
+    values = [splats.xyz, np.zeros_like(splats.xyz), colours, splats.logits[:, None], splats.log_scales, unit]
     body = np.concatenate(values, axis=1).astype("<f4").tobytes()
-    _write(path, len(xyz), [f"property float {name}" for name in OF_SPLATS], body, comments)
+    _write(path, len(splats.xyz), [f"property float {name}" for name in OF_SPLATS], body, comments)
 
 
 def _write(path: Path, count: int, properties: list[str], body: bytes, comments: Sequence[str]) -> None:

@@ -53,7 +53,7 @@ def _stereo(prefix: str, folder: Path) -> list[Row]:
     views, lenses = {}, {}
     for side in ("left", "right"):
         seen = views[side] = find_board(side, sorted(folder.glob(f"{side}[0-9]*.jpg")), spec)[0]
-        five = calibrate_intrinsics(side, seen, spec, size, terms=FIVE_COEFFICIENTS)
+        five = calibrate_intrinsics(side, seen, spec, size, lens=FIVE_COEFFICIENTS)
         own = calibrate_intrinsics(side, seen, spec, size)
         k = lenses[side] = five.intrinsics
         assert k.std is not None

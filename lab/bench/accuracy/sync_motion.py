@@ -25,6 +25,7 @@ from devrf.capture.video.video_writer import write_video
 from devrf.lab.bench.accuracy.cases import Cases, not_there
 from devrf.lab.bench.bench_rows import Row
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.pipelines.stages.scene.clock_check import timed_pictures
 from devrf.pipelines.stages.sync import used_times
@@ -49,7 +50,7 @@ def motion(cases: Cases) -> list[Row]:
     for scene, seed in SESSIONS:
         folder = cases.folder("motion") / f"{scene}_{seed}"
         if not (folder / TRUTH).is_file():
-            simulate_session(folder, scene, seed=seed, size=SIZE, options=OPTIONS)
+            simulate_session(folder, Simulation(scene, 4, seed, SIZE, OPTIONS))
         title = f"sync/motion, simulated {scene} (seed {seed})"
         truth = read_truth(folder / TRUTH)
         rows += _measured(title, folder, _true_cameras(folder), truth, SIMULATED_GOAL_MS)

@@ -19,7 +19,7 @@ SUFFERED_DB = LEAST_GAIN_DB / 2
 
 
 @dataclass(frozen=True)
-class Heard:
+class PrecisionRecall:
     """What is said over the whole suite, against what happens.
 
     Attributes:
@@ -58,7 +58,7 @@ class Heard:
 
 def heard(
     results: Mapping[str, Sequence[Result]], undisturbed: Sequence[Result], found: Mapping[str, Points]
-) -> Heard:
+) -> PrecisionRecall:
     """Compare what is said with what happens.
 
     Args:
@@ -71,7 +71,7 @@ def heard(
     cases = [r for of_axis in results.values() for r in of_axis]
     spoken = [r for r in cases if _warns(r, of_seed[r.seed])]
     unfounded = [r for r in spoken if not _suffered(r, of_seed[r.seed])]
-    return Heard(
+    return PrecisionRecall(
         broken=broken,
         missed=tuple(name for name in broken if not _in_time(found[name])),
         spoken=tuple(_called(r) for r in spoken),

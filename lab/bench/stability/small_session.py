@@ -9,6 +9,7 @@ from shutil import rmtree
 from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.lab.simulate_command import session_code
 from devrf.pipelines.terminal.console import Talk
@@ -40,19 +41,13 @@ TRUTH = "ground_truth.json"
 
 
 @dataclass(frozen=True)
-class Simulated:
-    """How a session is simulated.
+class Simulated(Simulation[SessionOptions]):
+    """How a session was simulated, and by what.
 
     Attributes:
-        scene, cameras, seed, size, options: The arguments of `simulate_session`.
         code: Version of the simulator's code; None where nobody has said.
     """
 
-    scene: str
-    cameras: int
-    seed: int
-    size: tuple[int, int]
-    options: SessionOptions
     code: str | None = field(default_factory=session_code)
 
     @classmethod
@@ -109,17 +104,7 @@ def rendered(
     if not is_rendered(folder, made):
         new = folder.with_name(f".new-{folder.name}")
         rmtree(new, ignore_errors=True)
-        simulate_session(
-            new,
-            made.scene,
-            cameras=made.cameras,
-            seed=made.seed,
-            size=made.size,
-            options=made.options,
-            kept=kept,
-            code=made.code,
-            progress=progress,
-        )
+        simulate_session(new, made, kept=kept, code=made.code, progress=progress)
         rmtree(folder, ignore_errors=True)
         new.rename(folder)
     return folder / "scene.yaml"

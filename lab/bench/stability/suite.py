@@ -15,7 +15,7 @@ from devrf.lab.bench.stability.case import UNDISTURBED, Result, is_made, run_cas
 from devrf.lab.bench.stability.chart import axes_chart
 from devrf.lab.bench.stability.damage.intact import DoesNotApply
 from devrf.lab.bench.stability.points import LEAST_GAIN_DB, Points, bar_db, points
-from devrf.lab.bench.stability.precision_recall import SUFFERED_DB, Heard, heard
+from devrf.lab.bench.stability.precision_recall import SUFFERED_DB, PrecisionRecall, heard
 from devrf.lab.bench.training.trainings import Bench, spread
 from devrf.pipelines.runner.run_state import Run
 from devrf.pipelines.terminal.console import Talk, duration
@@ -182,7 +182,7 @@ def _points_rows(name: str, found: Points) -> list[Row]:
     ]
 
 
-def _heard_rows(known: Heard) -> list[Row]:
+def _heard_rows(known: PrecisionRecall) -> list[Row]:
     """Recall, precision and false alarms, and what keeps them from being perfect."""
     missed = f"nothing is said in time of {', '.join(known.missed)}" if known.missed else None
     lost = f"less than {SUFFERED_DB:g} dB lost: {'; '.join(known.unfounded)}" if known.unfounded else None

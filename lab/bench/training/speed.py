@@ -11,7 +11,7 @@ from devrf.lab.bench.training.progress_views import Looks
 from devrf.lab.bench.training.published import PUBLISHED
 from devrf.lab.bench.training.trainings import Bench, device_name
 from devrf.pipelines.config.scene import ReconstructConfig
-from devrf.reconstruct.options import Options
+from devrf.reconstruct.options import TrainingOptions
 from devrf.reconstruct.training.loop import TrainingRun
 from devrf.reconstruct.training.train_canonical import train_canonical
 from devrf.reconstruct.training.train_motion import train_motion
@@ -74,7 +74,7 @@ def run_speed(
     return bench.publish(title, rows, json_path, seeds, drawn, benchmark="speed", **about)
 
 
-def options_of(bench: Bench, case: Case) -> Options:
+def options_of(bench: Bench, case: Case) -> TrainingOptions:
     """The case's options: what scene.yaml overrides counts for every preset, then the share of the iterations."""
     chosen = dict(case.chosen)
     options = bench.options(case.preset, **chosen)

@@ -34,7 +34,7 @@ from devrf.pipelines.terminal.exit_codes import DONE
 from devrf.reconstruct import recipe
 from devrf.reconstruct.evaluation.evaluate import METRICS, LpipsNets, Render, evaluate
 from devrf.reconstruct.fields.canonical_model import RestModel
-from devrf.reconstruct.options import CanonicalOptions, MotionOptions, Options
+from devrf.reconstruct.options import CanonicalOptions, MotionOptions, TrainingOptions
 from devrf.reconstruct.rendering.model import render_view
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.model_io import load_deformation, load_rest, save_deformation, save_rest
@@ -86,7 +86,7 @@ class Bench:
         """The networks that scene.yaml names."""
         return lpips_nets(self.run.config, self.run.scene_dir, self.run.device)
 
-    def options(self, preset: str | None = None, **changes: Any) -> Options:
+    def options(self, preset: str | None = None, **changes: Any) -> TrainingOptions:
         """Of a preset (None: the configured one), with what scene.yaml overrides, and `reconstruct` keys changed."""
         config = self.run.config
         reconstruct = config.reconstruct.model_copy(update=changes)

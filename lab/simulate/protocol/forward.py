@@ -24,13 +24,14 @@ from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.view_axes import look_at
 from devrf.lab.simulate.protocol.dataset_options import ForwardOptions
-from devrf.lab.simulate.protocol.simulate_dataset import Made, check_arguments, lens, scene_yaml
-from devrf.lab.simulate.render.filmed import Film
+from devrf.lab.simulate.protocol.simulate_dataset import Made, check_simulation, lens, made_by, scene_yaml
+from devrf.lab.simulate.render.filmed import MomentCache
 from devrf.lab.simulate.render.folder import OutputFolder
 from devrf.lab.simulate.render.studio import Studio
 from devrf.lab.simulate.scenes.catalogue import Paint, picture_on_quad, texture
 from devrf.lab.simulate.scenes.models import MODELS
 from devrf.lab.simulate.scenes.shapes import Model, Part, rigid, turn
+from devrf.lab.simulate.scenes.simulation import Simulation
 
 DISTANCE = 4.9  # of the cameras' plane from the model's middle: all of it is seen from everywhere
 WALL_Y = 1.6  # behind everything that moves
@@ -54,43 +55,32 @@ PLACES = (
 
 
 def simulate_forward(
-    out: Path,
-    scene: str,
-    *,
-    cameras: int = 3,
-    seed: int = 0,
-    size: tuple[int, int] = (480, 270),
-    options: ForwardOptions | None = None,
-    progress: Progress = no_progress,
+    out: Path, simulation: Simulation[ForwardOptions], *, progress: Progress = no_progress
 ) -> Made:
-    """Render a forward-facing data set with known truth, or go on with one begun with the same arguments.
+    """Render a forward-facing data set with known truth, or go on with one begun for the same simulation.
 
     Args:
         out: Folder to write: new, empty, or begun earlier.
-        scene: A name out of `MODELS`.
-        cameras: Number of fixed training cameras, 1 to 8; the test camera is one more.
-        seed: Different seeds give other textures and places.
-        size: Width and height of the pictures.
-        options: Everything else.
+        simulation: Of a scene out of `MODELS`, with 1 to 8 cameras; the test camera is one more.
         progress: Told after every picture.
     Raises:
         InputError: Unknown scene, bad numbers, folder that holds something else, or mitsuba not installed.
     """
-    options = options or ForwardOptions()
-    check_arguments("devrf-forward", scene, size, cameras, len(PLACES))
+    check_simulation("devrf-forward", simulation, len(PLACES))
+    scene, cameras, seed, size = simulation.scene, simulation.cameras, simulation.seed, simulation.size
+    options = simulation.options
     if max(size) > 2 * min(size):
         wrong = f"simulate --size {size[0]}x{size[1]}: the wall covers at most 2:1"
         raise InputError("option-out-of-range", f"{wrong} (--protocol devrf-forward)")
-    made_by = {"protocol": "devrf-forward", "scene": scene, "seed": seed, "cameras": cameras, "size": size}
-    folder = OutputFolder(out, {**made_by, "options": options.model_dump(mode="json")})
+    folder = OutputFolder(out, made_by("devrf-forward", simulation))
     path = out / "scene.yaml"
     if folder.complete:
         return Made(path, 0)
     times = np.linspace(0, 1, options.times)
     model = _facing(scene, seed, options)
     studio = Studio(options.spp)
-    film = Film(studio, (*model, _wall(seed)), times)
-    alone = Film(studio, model, times)  # for the matte
+    film = MomentCache(studio, (*model, _wall(seed)), times)
+    alone = MomentCache(studio, model, times)  # for the matte
     folder.begin()
     places = np.array([*PLACES[:cameras], TEST_PLACE])
     fixed = [_camera(size, options, place, np.zeros(2)) for place in places]

@@ -16,6 +16,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +25,12 @@ from devrf.capture.formats import FLIP_YZ
 from devrf.capture.system.errors import InputError
 from devrf.capture.system.progress import Progress, no_progress
 from devrf.capture.view_axes import look_at
-from devrf.lab.simulate.protocol.dataset_options import DatasetOptions
-from devrf.lab.simulate.render.filmed import Film
+from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
+from devrf.lab.simulate.render.filmed import MomentCache
 from devrf.lab.simulate.render.folder import OutputFolder
 from devrf.lab.simulate.render.studio import Studio
 from devrf.lab.simulate.scenes.models import MODELS
+from devrf.lab.simulate.scenes.simulation import Simulation
 
 RADIUS = 4.0  # of the cameras' hemisphere; the models stay within 1.35 of its centre
 ANGLE = 0.6911112  # of view over the picture's shorter side, radians; Blender's for the NeRF data sets
@@ -56,38 +58,27 @@ class _Shot:
 
 
 def simulate_dataset(
-    out: Path,
-    scene: str,
-    *,
-    cameras: int = 4,
-    seed: int = 0,
-    size: tuple[int, int] = (400, 400),
-    options: DatasetOptions | None = None,
-    progress: Progress = no_progress,
+    out: Path, simulation: Simulation[DatasetOptions], *, progress: Progress = no_progress
 ) -> Made:
-    """Render a data set with known truth, or go on with one that was begun with the same arguments.
+    """Render a data set with known truth, or go on with one that was begun for the same simulation.
 
     Args:
         out: Folder to write: new, empty, or begun earlier.
-        scene: A name out of `MODELS`.
-        cameras: Number of fixed cameras, 1 to 8.
-        seed: Different seeds give other textures and places.
-        size: Width and height of the pictures.
-        options: Everything else.
+        simulation: Of a scene out of `MODELS`, with 1 to 8 cameras.
         progress: Told after every picture.
     Raises:
         InputError: Unknown scene, bad numbers, folder that holds something else, or mitsuba not installed.
     """
-    options = options or DatasetOptions()
-    check_arguments("devrf", scene, size, cameras, len(PLACES))
-    made_by = {"protocol": "devrf", "scene": scene, "seed": seed, "cameras": cameras, "size": size}
-    folder = OutputFolder(out, {**made_by, "options": options.model_dump(mode="json")})
+    check_simulation("devrf", simulation, len(PLACES))
+    folder = OutputFolder(out, made_by("devrf", simulation))
+    scene, cameras, seed, size = simulation.scene, simulation.cameras, simulation.seed, simulation.size
+    options = simulation.options
     path = out / "scene.yaml"
     if folder.complete:
         return Made(path, 0)
     times = np.linspace(0, 1, options.times)
     model = MODELS[scene].build(np.random.default_rng([seed, 0]), options.motion_scale)
-    film = Film(Studio(options.spp), model, times)
+    film = MomentCache(Studio(options.spp), model, times)
     folder.begin()
     dynamic = f"dynamic_{cameras}views"
     fixed = [_fixed_camera(seed, i, size) for i in range(cameras)]
@@ -131,14 +122,23 @@ def simulate_dataset(
     return Made(path, rendered)
 
 
-def check_arguments(
-    protocol: str, scene: str, size: tuple[int, int], cameras: int, most_cameras: int
+def made_by(
+    protocol: str, simulation: Simulation[DatasetOptions] | Simulation[ForwardOptions]
+) -> dict[str, Any]:
+    """What is written beside a data set, and compared before it is gone on with."""
+    how = {name: getattr(simulation, name) for name in ("scene", "seed", "cameras", "size")}
+    return {"protocol": protocol, **how, "options": simulation.options.model_dump(mode="json")}
+
+
+def check_simulation(
+    protocol: str, simulation: Simulation[DatasetOptions] | Simulation[ForwardOptions], most_cameras: int
 ) -> None:
     """Refuse what no data set can be made of.
 
     Raises:
         InputError: Unknown scene, a picture too small or too large, too few or too many cameras.
     """
+    scene, cameras, size = simulation.scene, simulation.cameras, simulation.size
     if scene not in MODELS:
         expected = f"expected one of {', '.join(MODELS)} (--protocol {protocol})"
         text = f"simulate --scene {scene}: unknown scene, {expected}"

@@ -5,21 +5,21 @@ from jaxtyping import Float
 
 from devrf.capture.camera import Camera
 from devrf.lab.simulate.render.folder import OutputFolder
-from devrf.lab.simulate.render.studio import Stage, Studio
-from devrf.lab.simulate.render.true_geometry import Surface, corners_of, flow_bwd
+from devrf.lab.simulate.render.studio import Studio, StudioScene
+from devrf.lab.simulate.render.true_geometry import TrueSurface, corners_of, flow_bwd
 from devrf.lab.simulate.scenes.shapes import Model
 
 
-class Film:
+class MomentCache:
     """The moments of a model, numbered; the last two are kept."""
 
     def __init__(self, studio: Studio, model: Model, times: Float[np.ndarray, " n"]) -> None:
         self._studio, self._model, self._times = studio, model, times
-        self._stages: dict[int, Stage] = {}
+        self._stages: dict[int, StudioScene] = {}
         self._corners: dict[int, np.ndarray] = {}
-        self._surfaces: dict[tuple[int, str], Surface] = {}
+        self._surfaces: dict[tuple[int, str], TrueSurface] = {}
 
-    def stage(self, moment: int) -> Stage:
+    def stage(self, moment: int) -> StudioScene:
         """The scene at a moment."""
         if moment not in self._stages:
             self._stages = {m: s for m, s in self._stages.items() if abs(m - moment) < 2}
@@ -30,11 +30,11 @@ class Film:
             self._corners[moment] = corners_of(meshes)
         return self._stages[moment]
 
-    def surface(self, moment: int, name: str, camera: Camera) -> Surface:
+    def surface(self, moment: int, name: str, camera: Camera) -> TrueSurface:
         """What the camera of this name sees at a moment."""
         if (moment, name) not in self._surfaces:
             triangles = self.stage(moment).triangles(camera)
-            self._surfaces[moment, name] = Surface(camera, triangles, self._corners[moment])
+            self._surfaces[moment, name] = TrueSurface(camera, triangles, self._corners[moment])
         return self._surfaces[moment, name]
 
     def write_truth(

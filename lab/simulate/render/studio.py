@@ -31,12 +31,12 @@ class Studio:
         self.distance = self.mi.load_dict({"type": "depth"})
         self.numbers = self.mi.load_dict({"type": "aov", "aovs": "triangle:prim_index,depth:depth"})
 
-    def stage(self, meshes: Sequence[Mesh]) -> "Stage":
+    def stage(self, meshes: Sequence[Mesh]) -> "StudioScene":
         """Set the scene; every picture of it is taken by the stage."""
-        return Stage(self, meshes)
+        return StudioScene(self, meshes)
 
 
-class Stage:
+class StudioScene:
     """One moment of the scene."""
 
     def __init__(self, studio: Studio, meshes: Sequence[Mesh]) -> None:

@@ -17,7 +17,7 @@ SAME_DEPTH = 0.01  # world units; nearer than this in depth is the same surface
 
 
 @dataclass(frozen=True)
-class Surface:
+class TrueSurface:
     """What a camera sees at one time.
 
     Attributes:
@@ -71,7 +71,9 @@ def corners_of(meshes: Sequence[Mesh]) -> Float[np.ndarray, "f 3 3"]:
     return np.concatenate([mesh.vertices[mesh.faces] for mesh in meshes])
 
 
-def flow_bwd(now: Surface, before: Surface) -> tuple[Float[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:
+def flow_bwd(
+    now: TrueSurface, before: TrueSurface
+) -> tuple[Float[np.ndarray, "h w 2"], Bool[np.ndarray, "h w"]]:
     """Where the point seen at each pixel's centre was in the picture before.
 
     Args:

@@ -52,6 +52,7 @@ from devrf.lab.simulate.scenes.catalogue import (
 from devrf.lab.simulate.scenes.furniture import furnished
 from devrf.lab.simulate.scenes.objects import OBJECTS, make_object
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.scenes.workshop import OAK, workshop_room
 from devrf.lab.simulate.session import sound
 from devrf.lab.simulate.session.camera_rig import (
@@ -83,12 +84,8 @@ EXPOSED = 6  # moments of an exposure that takes time: a limb at 4 m/s goes less
 
 def simulate_session(
     out: Path,
-    scene: str,
+    simulation: Simulation[SessionOptions],
     *,
-    cameras: int = 4,
-    seed: int = 0,
-    size: tuple[int, int] = (480, 360),
-    options: SessionOptions | None = None,
     kept: Sequence[Path] = (),
     code: str | None = None,
     progress: Progress = no_progress,
@@ -97,12 +94,8 @@ def simulate_session(
 
     Args:
         out: Folder to write; new or empty.
-        scene: A name out of `SCENES`.
-        cameras: Number of fixed cameras, without the witness.
-        seed: Different seeds give other textures, places, offsets, drifts, gains and claps.
-        size: Width and height of the pictures, even numbers of pixels.
-        options: Everything else.
-        kept: Clips of another session that these arguments would not change; they are copied, not rendered.
+        simulation: Of a scene out of `SCENES`, its pictures of even numbers of pixels.
+        kept: Clips of another session that this simulation would not change; they are copied, not rendered.
         code: Version of this simulator's code, for the record; None: not known.
         progress: Told after every picture.
     Returns:
@@ -110,11 +103,11 @@ def simulate_session(
     Raises:
         InputError: Unknown scene, odd size, folder not empty, or mitsuba not installed.
     """
-    options = options or SessionOptions()
-    check_arguments(scene, cameras, size, options)
+    check_simulation(simulation)
+    options, size = simulation.options, simulation.size
     _check_folder(out)
     load_mitsuba()
-    seeds = np.random.default_rng(seed).spawn(6)
+    seeds = np.random.default_rng(simulation.seed).spawn(6)
     daylight = options.room == "workshop"
     if daylight:
         around = workshop_room(seeds[0], options.texture_contrast)
@@ -122,11 +115,11 @@ def simulate_session(
         around = room(seeds[0], options.texture_contrast)
     else:
         around = furnished(options.room, seeds[0], options.texture_contrast)
-    thing = make_object(scene, seeds[1], options)
+    thing = make_object(simulation.scene, seeds[1], options)
     still = [*around.still, *thing.stand]
     if options.board:
         still += standing_board(seeds[2], options, OAK if daylight else WOOD)
-    fixed = fixed_cameras(seeds[3], cameras, size, options)
+    fixed = fixed_cameras(seeds[3], simulation.cameras, size, options)
     sweep = sweep_cameras(seeds[4], size, options)
     light = DAYLIGHT if daylight else Light()
     if daylight:
@@ -150,21 +143,23 @@ def simulate_session(
     if options.board:
         for name, camera in [("static", _away_from_board(sweep)), *((c.name, c.camera) for c in fixed)]:
             work.board_clip(name, camera)
-    made_by = {"scene": scene, "seed": seed, "options": options.model_dump(mode="json"), "code": code}
-    truth = ground_truth(sweep, fixed, claps, thing, options, made_by)
+    made_by = {"scene": simulation.scene, "seed": simulation.seed, "options": options.model_dump(mode="json")}
+    truth = ground_truth(sweep, fixed, claps, thing, options, made_by | {"code": code})
     (out / "ground_truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
     work.motion(fixed[-1], still)
     path = out / "scene.yaml"
-    path.write_text(scene_yaml(scene, fixed, options), encoding="utf-8")
+    path.write_text(scene_yaml(simulation.scene, fixed, options), encoding="utf-8")
     return path
 
 
-def check_arguments(scene: str, cameras: int, size: tuple[int, int], options: SessionOptions) -> None:
+def check_simulation(simulation: Simulation[SessionOptions]) -> None:
     """Refuse what `simulate_session` cannot render, wherever it is to be written.
 
     Raises:
         InputError: Unknown scene, odd size, or options that do not fit together.
     """
+    scene, cameras, size = simulation.scene, simulation.cameras, simulation.size
+    options = simulation.options
     if scene not in SCENES:
         text = f"simulate --scene {scene}: unknown scene, expected one of {', '.join(SCENES)} (--protocol session)"
         raise InputError("scene-unknown", text)

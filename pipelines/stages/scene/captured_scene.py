@@ -10,7 +10,7 @@ import numpy as np
 from devrf.calibration.clocks.equations import Clock
 from devrf.calibration.clocks.spans import span_of
 from devrf.calibration.colour.colours import read_colours
-from devrf.calibration.extent.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, scene_bounds
+from devrf.calibration.extent.bounds import MAX_ERROR_PX, MIN_TRACK, Bounds, Silhouettes, scene_bounds
 from devrf.calibration.extent.box_checks import points_of_subject
 from devrf.calibration.rigs.rig import ARBITRARY, Rig, read_rig
 from devrf.calibration.sweep.static_poses import SweepModel, read_static_poses
@@ -97,10 +97,12 @@ def scene_from_capture(
         [rig.cameras[name].camera for name in frames.trained],
         xyz,
         distances,
-        masks,
-        "what moves" if mattes is None else "the subject's mattes",
-        stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
-        across(training(static + dynamic)),
+        Silhouettes(
+            masks,
+            "what moves" if mattes is None else "the subject's mattes",
+            stretches_of([clips[name] for name in moves], (t0_s, t1_s)) if mattes is None else [],
+            across(training(static + dynamic)),
+        ),
     )
     context.measures += box_measures(bounds, moves, mattes, dynamic, training(static))
     rest = None

@@ -17,7 +17,7 @@ from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.pose import FARTHER, Estimate, Shots
 from devrf.reconstruct.tracking.rigid import motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose
-from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.surface import SurfacePoints
 from devrf.reconstruct.tracking.views.film import Picture, blurred, sampled
 from devrf.reconstruct.tracking.views.shot import Shot
 from devrf.reconstruct.tracking.views.sight import BEHIND, Sight, depth_of, faces
@@ -152,7 +152,7 @@ def evenly(number: int) -> Float[np.ndarray, "t 3 3"]:
     ).as_matrix()
 
 
-def view_without(shot: Shot, surface: Surface, lost: Bool[np.ndarray, " p"]) -> View:
+def view_without(shot: Shot, surface: SurfacePoints, lost: Bool[np.ndarray, " p"]) -> View:
     """What a camera shows of a moment, beside what it should without some of the points."""
     film = shot.film
     sight = Sight(film, replace(surface, xyz=np.where(lost[:, None], np.nan, surface.xyz)))

@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from devrf.reconstruct.tracking.solver.normal_equations import Blocks
-from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.surface import SurfacePoints
 
 NODES_APART = 4.5  # spacings of the points
 PER_POINT, PER_NODE = 4, 8  # nodes that a point follows; neighbours that a node is held to
@@ -58,7 +58,7 @@ class Graph:
         blocks: Of the matrix of a step of all nodes.
     """
 
-    def __init__(self, surface: Surface, seed: int = 0) -> None:
+    def __init__(self, surface: SurfacePoints, seed: int = 0) -> None:
         xyz, spacing = surface.xyz, surface.spacing
         self.surface, self.links = surface, _links(surface)
         chosen = _cover(xyz, NODES_APART * spacing, np.random.default_rng(seed).permutation(len(xyz)))
@@ -114,7 +114,7 @@ class Graph:
         there = np.concatenate([pose.rotations.mT, (self.nodes + pose.shifts)[:, None]], axis=1)
         return self._places @ there.reshape(-1, 3)
 
-    def posed(self, pose: Pose) -> Surface:
+    def posed(self, pose: Pose) -> SurfacePoints:
         """The surface where it is."""
         turns = (self._follow @ pose.rotations.reshape(-1, 9)).reshape(-1, 3, 3)
         normals = np.einsum("pij,pj->pi", turns, self.surface.normals)
@@ -145,7 +145,7 @@ def pieces(pairs: Int[np.ndarray, "k 2"], number: int) -> Int[np.ndarray, " n"]:
     return connected_components(links, directed=False)[1]
 
 
-def _links(surface: Surface) -> csr_matrix:
+def _links(surface: SurfacePoints) -> csr_matrix:
     """Neighbouring points, with their distances."""
     n = len(surface)
     k = min(SURROUNDING, n - 1)

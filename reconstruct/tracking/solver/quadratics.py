@@ -22,7 +22,7 @@ CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenPoints:
     """Points that a picture shows.
 
     Attributes:
@@ -51,7 +51,11 @@ class Sum:
         self.hessian, self.gradient = np.zeros((points, 3, 3)), np.zeros((points, 3))
 
     def add_places(
-        self, seen: Seen, target: Float[np.ndarray, "m 2"], weight: Float[np.ndarray, " m"], huber: float
+        self,
+        seen: SeenPoints,
+        target: Float[np.ndarray, "m 2"],
+        weight: Float[np.ndarray, " m"],
+        huber: float,
     ) -> None:
         """Points should be at `target`, in pixels; those farther off than `huber` pixels weigh less."""
         if use_warp(CPU):
@@ -63,7 +67,7 @@ class Sum:
 
     def add_brightness(
         self,
-        seen: Seen,
+        seen: SeenPoints,
         apart: Float[np.ndarray, "m 3"],
         slope: Float[np.ndarray, "m 3 2"],
         begin: Float[np.ndarray, "m 2"],
@@ -113,7 +117,7 @@ class Sum:
         self.hessian[points] += weighted.mT @ jacobian
         self.gradient[points] += (weighted.mT @ residual[..., None])[..., 0]
 
-    def _launch(self, kernel: object, seen: Seen, arrays: list, numbers: list[float]) -> None:
+    def _launch(self, kernel: object, seen: SeenPoints, arrays: list, numbers: list[float]) -> None:
         """The same by a kernel: every point adds to its own entry."""
         if not len(seen.points):
             return

@@ -27,7 +27,7 @@ Picture = Float32[np.ndarray, "h w 3"]
 
 
 @dataclass
-class Film:
+class CameraFilm:
     """One camera's pictures in the order of their times, read when they are asked for.
 
     Attributes:
@@ -93,15 +93,15 @@ class Film:
         n = int(np.argmin(np.abs(self.times - time)))
         return n if abs(self.times[n] - time) <= within else None
 
-    def backwards(self) -> "Film":
+    def backwards(self) -> "CameraFilm":
         """The same, run from its end to its beginning."""
-        return Film(
+        return CameraFilm(
             self.camera, self.frames[::-1], -self.times[::-1], self.scale, self.background,
             self.estimator, self.depth, self.plate, self.sure,
         )  # fmt: skip
 
 
-def films(scene: Scene, estimator: FlowEstimator) -> list[Film]:
+def films(scene: Scene, estimator: FlowEstimator) -> list[CameraFilm]:
     """Of each fixed training camera; what stands is not known yet: no depth, and black plates."""
     out = []
     for name, frames in standing_clips(scene).items():
@@ -112,7 +112,7 @@ def films(scene: Scene, estimator: FlowEstimator) -> list[Film]:
         times = np.array([f.time for f in frames], dtype=float)
         depth, plate = np.full(size, np.inf), np.zeros((*size, 3), np.float32)
         sure = name in scene.sure_clocks
-        out.append(Film(camera, frames, times, scale, scene.background, estimator, depth, plate, sure))
+        out.append(CameraFilm(camera, frames, times, scale, scene.background, estimator, depth, plate, sure))
     return out
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from devrf.reconstruct.tracking.offsets import Shown
-from devrf.reconstruct.tracking.solver.quadratics import Seen, Sum, derivative, huber_weight
-from devrf.reconstruct.tracking.surface import Surface
+from devrf.reconstruct.tracking.solver.quadratics import SeenPoints, Sum, derivative, huber_weight
+from devrf.reconstruct.tracking.surface import SurfacePoints
 from devrf.reconstruct.tracking.views.film import Picture, blurred, sampled
 from devrf.reconstruct.tracking.views.sight import Sight
 from devrf.reconstruct.tracking.views.templates import LIKE_PX, Templates
@@ -65,7 +65,7 @@ class Shot:
         self.came = self.flow = _NOTHING
         self.drawn = _NOT_DRAWN
 
-    def sight(self, surface: Surface) -> Sight:
+    def sight(self, surface: SurfacePoints) -> Sight:
         """What the camera sees of the points."""
         return Sight(self.film, replace(surface, xyz=self._taken(surface.xyz)))
 
@@ -73,7 +73,7 @@ class Shot:
         """Where points are when the picture is taken."""
         return self._before + self.share * (xyz - self._before)
 
-    def come(self, begin: int, surface: Surface, known: np.ndarray, far: bool = False) -> None:
+    def come(self, begin: int, surface: SurfacePoints, known: np.ndarray, far: bool = False) -> None:
         """Where optical flow brings `known` points from picture `begin`, in which they are at `surface`, to this one.
 
         It goes from picture to picture. `far`: by flow that finds longer ways and is less exact. What else was known of
@@ -94,7 +94,7 @@ class Shot:
 
     def look(
         self,
-        surface: Surface,
+        surface: SurfacePoints,
         sigmas: tuple[float, ...],
         asked: Bool[np.ndarray, " p"] | None = None,
         again: bool = False,
@@ -178,6 +178,6 @@ class Shot:
             weight = contrast.weight * CONTRAST**2
             pulls.add_brightness(seen, contrast.apart, contrast.slope, self.drawn.at, weight, HUBER_CONTRAST)
 
-    def _seen(self, points: Int[np.ndarray, " m"], xyz: np.ndarray) -> Seen:
+    def _seen(self, points: Int[np.ndarray, " m"], xyz: np.ndarray) -> SeenPoints:
         camera = self.film.camera
-        return Seen(points, xyz[points], camera.project(xyz[points]), camera, self.share)
+        return SeenPoints(points, xyz[points], camera.project(xyz[points]), camera, self.share)

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from devrf.capture.camera import Camera
-from devrf.reconstruct.tracking.surface import Surface
-from devrf.reconstruct.tracking.views.film import Film
+from devrf.reconstruct.tracking.surface import SurfacePoints
+from devrf.reconstruct.tracking.views.film import CameraFilm
 
 BEHIND = 0.03  # box units: what stands hides what is farther behind it than this
 SLACK = 0.05  # box units: points this little behind the one that is drawn are seen, too
@@ -23,7 +23,7 @@ class Sight:
         seen: Whether a point is seen [n].
     """
 
-    def __init__(self, film: Film, surface: Surface) -> None:
+    def __init__(self, film: CameraFilm, surface: SurfacePoints) -> None:
         camera, xyz = film.camera, surface.xyz
         self.at = camera.project(xyz)
         z = depth_of(camera, xyz)
@@ -51,7 +51,7 @@ def faces(
     return (towards * normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
 
 
-def _drawn(film: Film, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+def _drawn(film: CameraFilm, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """The point at each pixel, -1 where there is none or what stands hides it, and its depth."""
     camera = film.camera
     width, height = camera.width, camera.height

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import minimum_filter
 
-from devrf.reconstruct.tracking.views.film import Film, Picture, blurred, fetched
+from devrf.reconstruct.tracking.views.film import CameraFilm, Picture, blurred, fetched
 from devrf.reconstruct.tracking.views.sight import Sight
 
 EVEN_PX, REACH = 1.5, 8  # standard deviation by which the warp is made smooth; pixels beyond its kernel
@@ -21,7 +21,7 @@ class Templates:
         behind: What stands, as pictures are compared [h, w, 3].
     """
 
-    def __init__(self, film: Film, points: int) -> None:
+    def __init__(self, film: CameraFilm, points: int) -> None:
         self.film = film
         self.behind = blurred(film.high_pass(film.plate), LIKE_PX)
         self.picture = np.full(points, NONE)

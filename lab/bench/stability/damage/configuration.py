@@ -12,7 +12,7 @@ from devrf.lab.bench.stability.damage.intact import (
     behind_scene,
     with_capture,
 )
-from devrf.reconstruct.options import Options
+from devrf.reconstruct.options import TrainingOptions
 
 SEEDS_APART = 1000  # more than anyone repeats a case
 
@@ -39,9 +39,9 @@ def fewer_cameras(intact: Intact) -> Damage:
 def learning_rate(intact: Intact) -> Damage:
     """The learning rates of both trainings multiplied."""
 
-    def faster(usual: Options) -> Options:
+    def faster(usual: TrainingOptions) -> TrainingOptions:
         rates = {"learning_rate": intact.severity}
-        return Options(replace(usual.canonical, **rates), replace(usual.motion, **rates))
+        return TrainingOptions(replace(usual.canonical, **rates), replace(usual.motion, **rates))
 
     return Damage(intact.config, options=faster)
 

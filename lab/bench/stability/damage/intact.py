@@ -13,7 +13,7 @@ from devrf.capture.scene import Scene
 from devrf.capture.system.errors import DevrfError
 from devrf.pipelines.config.scene import CaptureConfig, SceneConfig
 from devrf.pipelines.stage import StageContext
-from devrf.reconstruct.options import Options
+from devrf.reconstruct.options import TrainingOptions
 
 
 class DoesNotApply(DevrfError):
@@ -75,7 +75,7 @@ class Damage:
     config: SceneConfig
     stage: str | None = None
     behind: Callable[[StageContext], None] = lambda context: None
-    options: Callable[[Options], Options] | None = None
+    options: Callable[[TrainingOptions], TrainingOptions] | None = None
 
     @contextmanager
     def trained_otherwise(self, stage: str) -> Iterator[None]:

@@ -20,7 +20,8 @@ from devrf.lab.simulate.protocol.simulate_dataset import simulate_dataset
 from devrf.lab.simulate.render.folder import MADE_BY
 from devrf.lab.simulate.render.mitsuba import load_mitsuba
 from devrf.lab.simulate.scenes.session_options import SessionOptions
-from devrf.lab.simulate.session.simulate_session import check_arguments
+from devrf.lab.simulate.scenes.simulation import Simulation
+from devrf.lab.simulate.session.simulate_session import check_simulation
 from devrf.lab.simulate_command import session_code
 from devrf.pipelines.config.scene import SceneConfig
 
@@ -49,7 +50,7 @@ def again(
         try:
             options = was.options.model_dump() | change(was.options, intact.severity)
             made = replace(was, scene=scene or was.scene, options=SessionOptions.model_validate(options))
-            check_arguments(made.scene, made.cameras, made.size, made.options)
+            check_simulation(made)
             if not is_rendered(folder, made):
                 load_mitsuba()
         except (InputError, ValidationError) as error:
@@ -80,8 +81,8 @@ def larger(intact: Intact) -> Damage:
         options = DatasetOptions.model_validate(was.model_dump() | _scaled(was, intact.severity))
     except ValidationError as error:
         raise DoesNotApply("option-out-of-range", str(error)) from error
-    scene, size = made["scene"], tuple(made["size"])
-    simulate_dataset(folder, scene, cameras=made["cameras"], seed=made["seed"], size=size, options=options)
+    size = tuple(made["size"])
+    simulate_dataset(folder, Simulation(made["scene"], made["cameras"], made["seed"], size, options))
     other = dataset.model_copy(update={"path": str(folder)})
     return Damage(intact.config.model_copy(update={"dataset": other}))
 
