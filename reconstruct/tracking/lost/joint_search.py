@@ -34,7 +34,7 @@ BLUR_PX = 2.0  # of the colours
 TELLING = 0.08  # difference between a point's colour and what stands behind that counts as one
 
 
-class View(NamedTuple):
+class ViewWithout(NamedTuple):
     """What one camera shows: its picture, what it should be without what is lost, and the depth of the latter."""
 
     camera: Camera
@@ -54,12 +54,12 @@ class _Limb:
         self.looked_at = self.points & (counted % (1 + max(counted[-1], 0) // MOST_POINTS) == 0)
         self.rgb = graph.surface.rgb[self.looked_at].astype(np.float32)
 
-    def score(self, views: list[View], pose: Pose) -> float:
+    def score(self, views: list[ViewWithout], pose: Pose) -> float:
         """How much pictures show of it."""
         there = self.graph.posed(pose).only(self.looked_at)
         return float(score(views, there.xyz[None], there.normals[None], self.rgb)[0])
 
-    def turned(self, views: list[View], pose: Pose, lost: Bool[np.ndarray, " n"]) -> list[Pose]:
+    def turned(self, views: list[ViewWithout], pose: Pose, lost: Bool[np.ndarray, " n"]) -> list[Pose]:
         """Poses with the limb as at rest, but turned about its joint, the likeliest first; none if it has no joint."""
         graph, (a, b) = self.graph, self.graph.edges.T
         holds = np.unique(b[self.mine[a] & ~lost[b]])
@@ -119,7 +119,7 @@ def turn_limbs(shots: Shots, found: Estimate) -> None:
 
 
 def score(
-    views: list[View],
+    views: list[ViewWithout],
     xyz: Float[np.ndarray, "t p 3"],
     normals: Float[np.ndarray, "t p 3"],
     rgb: Float32[np.ndarray, "p 3"],
@@ -152,10 +152,10 @@ def evenly(number: int) -> Float[np.ndarray, "t 3 3"]:
     ).as_matrix()
 
 
-def view_without(shot: Shot, surface: SurfacePoints, lost: Bool[np.ndarray, " p"]) -> View:
+def view_without(shot: Shot, surface: SurfacePoints, lost: Bool[np.ndarray, " p"]) -> ViewWithout:
     """What a camera shows of a moment, beside what it should without some of the points."""
     film = shot.film
     sight = Sight(film, replace(surface, xyz=np.where(lost[:, None], np.nan, surface.xyz)))
     drawn = shot.templates.draw(sight, surface.rgb.astype(np.float32))
     picture, without = (blurred(x, BLUR_PX) for x in (film.picture(shot.n), drawn))
-    return View(film.camera, picture, without, sight.depth)
+    return ViewWithout(film.camera, picture, without, sight.depth)
