@@ -89,7 +89,7 @@ def simulate(
         options = options_from(chosen.options, [*(kind.usual if kind else ()), *settings])
     except InputError as error:
         mistakes.append(str(error))
-    if mistakes or match is None:
+    if mistakes or match is None or options is None:
         raise InputError("option-malformed", "\n".join(mistakes))
     with talk.progress("simulate") as progress:
         count = chosen.cameras if cameras is None else cameras
