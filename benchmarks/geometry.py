@@ -24,10 +24,10 @@ from devrf.capture.camera import Camera
 from devrf.capture.formats import read_scene
 from devrf.capture.scene import Scene
 from devrf.lab.bench.bench_rows import Row
-from devrf.lab.simulate.scenes.catalogue import Mesh, room
+from devrf.lab.simulate.scenes.catalogue import Mesh
 from devrf.lab.simulate.scenes.objects import make_object
 from devrf.lab.simulate.scenes.session_options import SessionOptions
-from devrf.lab.simulate.session.simulate_session import standing_board
+from devrf.lab.simulate.session.simulate_session import room_of, standing_board
 
 RESULT, PICTURE = Path("benchmarks/results/geometry-cpu.json"), Path("docs/export.jpg")
 SPACING_M = 0.0015  # of the samples of the true surfaces
@@ -67,7 +67,7 @@ class _Truth:
         truth, made = read_truth(file), json.loads(file.read_text())
         options = SessionOptions(**made["made_by"]["options"])
         seeds = np.random.default_rng(made["made_by"]["seed"]).spawn(6)
-        around = room(seeds[0], options.texture_contrast)
+        around = room_of(seeds[0], options)
         self.thing = make_object(made["made_by"]["scene"], seeds[1], options)
         self.still = [*around.still, *around.behind, *self.thing.stand, *standing_board(seeds[2], options)]
         self.rest_until_s = made["object"]["rest_until_s"]

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from devrf.capture.exif import Exif, exif_from_dict
-from devrf.capture.measure import Measure
+from devrf.capture.measure import ENOUGH_CAMERAS, Measure
 from devrf.capture.orientation import Upright, by_exif
 from devrf.capture.system.amounts import some
 from devrf.capture.system.errors import CaptureError
@@ -136,6 +136,11 @@ class CameraFrames:
         """The frames that later stages use."""
         return tuple(frame for frame in self.frames if frame.used)
 
+    @property
+    def no_lens(self) -> str | None:
+        """What its pictures are, in words, where no lens makes such (`projection.py`)."""
+        return next((str(f.value) for f in self.faults if f.code == "coding" and f.found == "fail"), None)
+
     def filmed(self, folder: Path) -> "list[PictureFile]":
         """The pictures of the frames that are used, where they were kept and their time is known.
 
@@ -185,6 +190,14 @@ class FrameSet:
     def moving(self) -> dict[str, CameraFrames]:
         """The fixed cameras that film the motion, test cameras last."""
         return self.trained | self.tests
+
+    @property
+    def without_lens(self) -> dict[str, str]:
+        """Fixed cameras whose pictures no lens makes -> what they are; of training only where enough others remain."""
+        odd = {name: why for name, camera in self.moving.items() if (why := camera.no_lens) is not None}
+        if len(self.trained.keys() - odd.keys()) >= ENOUGH_CAMERAS:
+            return odd
+        return {name: why for name, why in odd.items() if name in self.tests}
 
     def _of_role(self, role: Role) -> dict[str, CameraFrames]:
         return {name: c for name, c in self.cameras.items() if c.role == role}

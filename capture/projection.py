@@ -76,6 +76,12 @@ def projection_of(said: Iterable[Projection | None], pictures: Sequence[Picture]
     return None
 
 
+def odd_ones(said: Sequence[Projection | None]) -> set[int]:
+    """Which of a folder's photos no lens made, by their tags, among more that one did: they are no camera's."""
+    tagged = {n for n, told in enumerate(said) if told is not None}
+    return tagged if 2 * len(tagged) < len(said) else set()
+
+
 def projection_faults(kind: Projection | None, source: str = "") -> list[Measure]:
     """What to say of a camera with such pictures, of the file or folder `source`."""
     facts = {"source": source}

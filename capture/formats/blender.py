@@ -24,6 +24,7 @@ from devrf.capture.formats.parts.opengl import camera_of
 from devrf.capture.formats.parts.scene_files import OWN_KEY
 from devrf.capture.formats.parts.transforms import index_of
 from devrf.capture.scene import PosedFrame, Split
+from devrf.capture.system.amounts import some
 from devrf.capture.system.errors import CaptureError
 
 SAME_POSE_DECIMALS = 6  # of a matrix: one fixed camera's entries may be rounded differently
@@ -31,13 +32,20 @@ SAME_POSE_DECIMALS = 6  # of a matrix: one fixed camera's entries may be rounded
 
 def read_blender(folder: Path, notes: list[str]) -> Pictures:
     """A scene at rest: `transforms_train.json` and, where it is there, `transforms_test.json`."""
-    frames = read_split(folder, "train", notes)
+    train = read_split(folder, "train", notes)
     has_test = (folder / "transforms_test.json").is_file()
-    frames += read_split(folder, "test", notes) if has_test else ()
-    if len({f.time for f in frames}) > 1:
+    test = read_split(folder, "test", notes) if has_test else ()
+    moments = {f.time for f in train}
+    if len(moments) == 1 and (later := [f.path.name for f in test if f.time not in moments]):
+        notes.append(
+            f"{len(later)} test pictures have another time than all others, and are not used: {some(later)}"
+        )
+        test = tuple(f for f in test if f.time in moments)
+    frames = train + test
+    if len(moments) > 1:
         wrong = f"data set {folder}: every picture is of the scene in motion"
         raise CaptureError("rest-missing", f"{wrong}; a sweep of it at rest is needed")
-    return Pictures(at_rest(frames), has_split=has_test, own=own_entry(folder / "transforms_train.json"))
+    return Pictures(at_rest(frames), has_split=bool(test), own=own_entry(folder / "transforms_train.json"))
 
 
 def at_rest(frames: tuple[PosedFrame, ...]) -> tuple[PosedFrame, ...]:

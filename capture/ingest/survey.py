@@ -17,7 +17,7 @@ from devrf.capture.photos.photo_folders import CARD_FOLDER, UNREAD_KINDS, list_p
 from devrf.capture.photos.picture_files import PICTURE_SUFFIXES, natural_key
 from devrf.capture.photos.raw import RAW_SUFFIXES
 from devrf.capture.photos.upright_pictures import probe_picture, read_picture, shared_turns
-from devrf.capture.projection import Projection, projection_of
+from devrf.capture.projection import Projection, odd_ones, projection_of
 from devrf.capture.system.doubles import doubles
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.system.file_names import CLIP_SUFFIXES
@@ -173,6 +173,9 @@ def _look_at_photos(folder: Path, count: int) -> Footage:
     photos = list_pictures(folder)
     chosen = spread(photos, count)
     headers = [probe_picture(photo) for photo in chosen]
+    stitched = odd_ones([header.projection for header in headers])
+    chosen = [photo for n, photo in enumerate(chosen) if n not in stitched]
+    headers = [header for n, header in enumerate(headers) if n not in stitched]
     turns = shared_turns(headers)
     read = [_size_and_small(photo, turn) for photo, turn in zip(chosen, turns, strict=True)]
     sizes = [own for own, _ in read]

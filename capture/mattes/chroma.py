@@ -16,7 +16,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from devrf.capture.mattes.tidy import tidy
 from devrf.capture.photos.picture_files import read_pixels
-from devrf.capture.system.errors import CaptureError, InputError
+from devrf.capture.system.errors import HealthError, InputError
 from devrf.capture.system.spread import spread
 
 PICTURES = 12  # looked at for the key colour
@@ -36,7 +36,7 @@ def find_key(camera: str, files: Sequence[Path]) -> Float[np.ndarray, "3"]:
     """The key colour of a camera's pictures, RGB in 0 to 255: the commonest strong direction of chroma.
 
     Raises:
-        CaptureError: There is none.
+        HealthError: There is none.
     """
     rgb = np.concatenate([_few_pixels(file) for file in spread(files, PICTURES)]).astype(np.float32)
     luma, chroma = _ycc(rgb)
@@ -53,7 +53,7 @@ def find_key(camera: str, files: Sequence[Path]) -> Float[np.ndarray, "3"]:
         remedy = (
             "name its colour (capture.mattes: {method: chroma, colour: '#00b140'}), or use another method"
         )
-        raise CaptureError("key-colour-unfound", f"{wrong}: {fills}, {expected}, {remedy}")
+        raise HealthError("key-colour-unfound", f"{wrong}: {fills}, {expected}, {remedy}")
     return np.median(rgb[near], axis=0)
 
 

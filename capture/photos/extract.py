@@ -33,6 +33,7 @@ from devrf.capture.projection import (
     SIDE_PX,
     Picture,
     Projection,
+    odd_ones,
     projection_faults,
     projection_of,
 )
@@ -107,10 +108,14 @@ def extract_folder(
     pictures = list_pictures(path)
     photos = list(_put(pictures, out, name, white_balance, progress, workers))
     copies = _copies(photos) if role in ONCE else {}
-    counts = Counter(photo.size for i, photo in enumerate(photos) if i not in copies)
+    stitched = odd_ones([photo.projection for photo in photos])
+    left = [photo for i, photo in enumerate(photos) if i not in copies and i not in stitched]
+    counts = Counter(photo.size for photo in left)
     size = counts.most_common(1)[0][0]
     taken = {s for s, n in counts.items() if s == size or (role == "sweep" and n >= FEWEST_OF_A_SIZE)}
-    alike = [i for i, photo in enumerate(photos) if photo.size in taken and i not in copies]
+    alike = [
+        i for i, photo in enumerate(photos) if photo.size in taken and i not in copies and i not in stitched
+    ]
     chosen = {alike[k] for k in sharpest_per_window([photos[i].sharpness for i in alike], most or len(alike))}
     records = []
     for i, photo in enumerate(photos):
@@ -121,7 +126,7 @@ def extract_folder(
         turns = (photo.upright.orientation, photo.own.orientation)
         records.append(FrameRecord(i, None, photo.sharpness, used, kept, photo.exif, photo.name, *turns))
     focals = [p.exif.focal_px for p in photos if p.exif is not None and p.exif.focal_px is not None]
-    main = [photo for photo in photos if photo.size == size]
+    main = [photo for photo in left if photo.size == size]
     kind = projection_of(
         (p.projection for p in main), [p.small for p in main if p.small is not None][:ENOUGH]
     )
@@ -141,7 +146,12 @@ def extract_folder(
         mirrored=main[0].upright.mirrored,
         frames=tuple(records),
         level=float(np.median([photo.level for photo in photos])),
-        notes=(*numbering(pictures), *_copies_note(photos, copies), *_notes(photos, counts, taken)),
+        notes=(
+            *numbering(pictures),
+            *_copies_note(photos, copies),
+            *_stitched_note(photos, stitched),
+            *_notes(photos, counts, taken),
+        ),
         faults=tuple(faults),
     )
 
@@ -230,6 +240,13 @@ def _copies_note(photos: list[_Photo], copies: dict[int, int]) -> list[str]:
     return [f"{len(copies)} of {len(photos)} photos are copies of others and are not used: {which}"]
 
 
+def _stitched_note(photos: list[_Photo], stitched: set[int]) -> list[str]:
+    if not stitched:
+        return []
+    which = some([photos[i].name for i in sorted(stitched)])
+    return [f"{len(stitched)} of {len(photos)} photos are panoramas by their tags and are not used: {which}"]
+
+
 def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> list[str]:
     notes = []
     turned = sum(not photo.upright.nothing for photo in photos)
@@ -247,7 +264,7 @@ def _notes(photos: list[_Photo], counts: Counter[Size], taken: set[Size]) -> lis
     if len(taken) > 1:
         notes.append(f"photos of several sizes, a camera each: {_sizes(counts, taken)}")
     if len(taken) < len(counts):
-        other = [photo.name for photo in photos if photo.size not in taken]
+        other = [photo.name for photo in photos if photo.size in counts.keys() - taken]
         notes.append(
             f"mixed sizes: {_sizes(counts, taken)} are used, {_sizes(counts, set(counts) - taken)} are not "
             f"({some(other)}); one camera in one mode is expected"

@@ -19,6 +19,7 @@ CONTAINERS = "mov,matroska,avi,mpegts,mpeg,mxf,asf,flv,ogg,dv,yuv4mpegpipe,wav,m
 None of them opens other files, as lists, playlists and patterns of FFmpeg's four hundred formats do.
 """
 SNIFF_BYTES = 512
+START_CODE = b"\0\0\0\1"  # of H.264 and H.265 without a container (Annex B)
 MOST_THREADS = 16  # ffmpeg itself takes no more unless asked, and advises against it
 
 
@@ -113,6 +114,11 @@ def _what_is_it(path: Path, error: Exception) -> InputError:
     if b"ftyp" in head[:16]:
         why = "an mp4 or mov whose index is missing: the recording or the copy was cut short"
         return InputError("file-cut-short", f"{path}: not a video ({why}); copy it again")
+    if head.startswith(START_CODE):
+        remedy = f"put it into an mp4 with the true frame rate: `ffmpeg -r 30 -i {path.name} {path.stem}.mp4`"
+        return InputError(
+            "stream-without-times", f"{path}: a raw stream, whose pictures have no times; {remedy}"
+        )
     try:
         head.decode("utf-8")
         return _is_text(path)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from devrf.pipelines.init.material import FootageContent, Roles
-from devrf.pipelines.init.names import WORDS, words_of
+from devrf.pipelines.init.names import SHORT, WORDS, words_of
 
 BOARD_SHARE = 0.5  # of a clip's pictures that show a board: it was filmed for the board
 AS_LONG = 1.5  # clips of several cameras that filmed one thing; people start and stop them one by one
@@ -66,8 +66,8 @@ def _owner_by_name(s: FootageContent, owners: dict[str, FootageContent]) -> str 
     """The camera whose name, or that alone lies in the same folder, is part of the clip's name; the longest counts."""
     own, folder = words_of(s.name), Path(s.name).parent
     scores: dict[str, float] = {}
-    for name in owners:
-        words = words_of(name)
+    for name, owner in owners.items():
+        words = words_of(name if len(name) < SHORT else Path(owner.name).name)  # long ones are cut
         inside = any(own[i : i + len(words)] == words for i in range(len(own)))
         if name == "static":
             inside |= any(w.startswith(WORDS["sweep"]) for w in own)

@@ -16,7 +16,7 @@ from devrf.capture.session import CaptureSession
 from devrf.capture.system.errors import CaptureError
 from devrf.capture.video.audio import Sound
 from devrf.pipelines.budget.at_once import ingested_at_once
-from devrf.pipelines.health.judge import carried
+from devrf.pipelines.health.judge import carried, warns_at
 from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.health.light_rows import light_measures
 from devrf.pipelines.inputs.capture_session import capture_session
@@ -112,12 +112,13 @@ def ingested(frames: FrameSet) -> Iterator[Measure]:
         yield from of_test(name, _filmed({name: camera}))
     for name, why in frames.left_out.items():
         yield left_out(name, why)
+    odd = frames.without_lens
     for name, camera in frames.cameras.items():
         source = {"source": camera.source}
         if camera.ended_early is not None:
             yield Measure("not-used", camera.ended_early, name, "ended", source)
         for fault in camera.faults:
-            refuses = camera.role != "test"
+            refuses = camera.role != "test" and name not in odd
             yield replace(fault, about=name, facts={**fault.facts, **source}, refuses=refuses)
         yield from noted(camera.notes, name)
 
@@ -132,7 +133,8 @@ def _sweep(sweep: CameraFrames) -> Iterator[Measure]:
         "places": some(blurred),
     }
     yield Measure("sweep-few-pictures", len(sweep.used))
-    yield Measure("sweep-blurred", float(is_sharp.mean()), facts=facts)
+    refuses = int(is_sharp.sum()) < warns_at("sweep-few-pictures")
+    yield Measure("sweep-blurred", float(is_sharp.mean()), facts=facts, refuses=refuses)
     for text in sweep.notes:
         if text.startswith("mixed sizes"):
             yield Measure("not-used", text, "sweep", "sizes", {"source": sweep.source})

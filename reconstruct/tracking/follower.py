@@ -2,7 +2,7 @@
 
 At each moment the graph's pose is predicted (constant velocity) and moved to what the cameras show (`pose.py`). Points
 are always compared with real pictures, mostly of the rest, so errors do not add up. Where pictures show what stands
-behind instead of a node's points, the node is lost, and looked for (`recovery.py`).
+behind instead of a node's points, the node is lost, and looked for (`lost/recovery.py`).
 """
 
 from collections.abc import Sequence
@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
+from devrf.reconstruct.tracking.lost.recovery import carried, look_again
 from devrf.reconstruct.tracking.offsets import FEWEST_CAMERAS, Offsets
 from devrf.reconstruct.tracking.pose import Estimate, Shots, believed
-from devrf.reconstruct.tracking.recovery import carried, look_again
 from devrf.reconstruct.tracking.runs import Arrays
 from devrf.reconstruct.tracking.solver.graph import Graph
 from devrf.reconstruct.tracking.trajectory import Trajectory
@@ -60,7 +60,7 @@ class Follower:
         shots = self.shots()
         shots.come()
         lost = past.lost[-1]
-        expected = carried(past, past.ahead(), lost, past.poses[-1])
+        expected = carried(past, past.ahead(), lost | past.jumped, past.poses[-1])
         found = Estimate(expected, lost, np.full(len(lost), np.nan))
         if len(shots.all) >= FEWEST_CAMERAS:
             found.pose = shots.fit(expected, SIGMAS, believed=believed(graph, lost))
@@ -69,6 +69,7 @@ class Follower:
             self.left_out.leave_out(shots, found.pose, expected, believed(graph, found.lost))
             look_again(shots, found, expected)
         past.add(found.pose, found.lost)
+        past.jumped = found.jumped
         if moment % LEARN_EVERY == 0:
             self._learn(shots)
 

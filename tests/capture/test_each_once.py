@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from tests.make.datasets import write_set
 
 from devrf.capture.formats import read_dataset
+from devrf.capture.formats.colmap.colmap_model import Model, read_model, write_model
 from devrf.capture.formats.parts.assembly import Pictures
 from devrf.capture.formats.parts.each_once import each_once
 from devrf.capture.scene import Scene
@@ -57,6 +59,33 @@ def test_no_picture_is_tested_on_and_trained_on(odd_scene: Scene, tmp_path: Path
     scene = read_dataset(layout, folder, notes=notes)
     assert not both(scene) and len(scene.static) == (at_rest if layout == "nerfstudio" else 4)
     assert any("4 test pictures" in note for note in notes)
+
+
+@pytest.mark.parametrize("layout", ["llff", "colmap"])
+def test_copies_of_listed_test_pictures(odd_scene: Scene, tmp_path: Path, layout: Any) -> None:
+    """`test.txt` names a picture of which a copy under another name, from the same place, is trained on."""
+    folder, notes = tmp_path / "set", []
+    write_set(layout, odd_scene, folder)
+    frames = read_dataset(layout, folder).static
+    tested = [f for f in frames if f.split == "test"]
+    copy = tested[0].path.with_name("zz copy.png")
+    shutil.copyfile(tested[0].path, copy)
+    if layout == "llff":
+        rows = np.load(folder / "poses_bounds.npy")
+        np.save(folder / "poses_bounds.npy", np.vstack([rows, rows[frames.index(tested[0])]]))
+    else:
+        place = folder / "sparse/0"
+        model = read_model(place)
+        (image,) = (i for i in model.images.values() if tested[0].path.name in i.name)
+        images = model.images | {99: replace(image, name=image.name.replace(tested[0].path.name, copy.name))}
+        write_model(place, Model(model.cameras, images, model.points))
+    scene = read_dataset(layout, folder, notes=notes)
+    assert not both(scene) and len(scene.static) == len(frames)
+    assert [f.path.name for f in scene.static if f.split == "test"] == [f.path.name for f in tested[1:]]
+    assert any(
+        f"1 test pictures are trained on too, and are not tested on: {tested[0].path.name}" in n
+        for n in notes
+    )
 
 
 def test_listed_twice(odd_scene: Scene, tmp_path: Path) -> None:

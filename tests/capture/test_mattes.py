@@ -14,7 +14,7 @@ from devrf.capture.mattes.matched_files import files_of
 from devrf.capture.mattes.matte_facts import measure
 from devrf.capture.mattes.tidy import tidy
 from devrf.capture.photos.picture_files import read_pixels, write_png
-from devrf.capture.system.errors import CaptureError, InputError
+from devrf.capture.system.errors import CaptureError, HealthError, InputError
 
 SIZE = (200, 150)
 Passing = tuple[np.ndarray, np.ndarray]
@@ -84,8 +84,10 @@ def test_a_screen_is_found_and_taken_away(passing: Passing, tmp_path: Path, scre
 def test_no_screen_is_named(passing: Passing, tmp_path: Path) -> None:
     grey = passing[0].mean(axis=-1, keepdims=True).repeat(3, axis=-1).astype(np.uint8)
     clip = clip_of(grey[:3], tmp_path)
-    with refused("key-colour-unfound", "'cam0'", "15 %", "colour: ", kind=CaptureError):
+    with refused("key-colour-unfound", "'cam0'", "15 %", "colour: ", kind=HealthError):
         find_key("cam0", clip.files)
+    named = chroma_mattes(clip, parse_colour("#00b140"), tmp_path / "out")  # what is proposed
+    assert named.key_rgb == (0, 177, 64) and not named.doubtful_key
 
 
 @pytest.mark.parametrize(

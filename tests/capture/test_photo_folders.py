@@ -26,6 +26,13 @@ def test_what_is_not_read_is_counted_by_kind(tmp_path):
     assert all(word in str(fault.value) for word in ("4 beside 2", "2 HEIC", "1 JPEG XL", "c.heic"))
 
 
+def test_a_photo_that_is_there_as_raw_and_as_jpeg_is_one(tmp_path):
+    """Cameras write both; the RAW file is developed, the picture beside it is neither a second view nor unread."""
+    touch(tmp_path, "a.JPG", "a.DNG", "b.jpg", "c.nef", "c.heic", "d.HIF", "d.ARW")
+    assert [p.name for p in list_pictures(tmp_path)] == ["a.DNG", "b.jpg", "c.nef", "d.ARW"]
+    assert unread_faults(tmp_path) == []
+
+
 def test_folders_of_a_card_are_one(tmp_path):
     touch(tmp_path, "100CANON/IMG_0099.JPG", "101CANON/IMG_0001.JPG", "101CANON/IMG_0002.HEIC", "MISC/x.jpg")
     assert [p.name for p in list_pictures(tmp_path)] == ["IMG_0099.JPG", "IMG_0001.JPG"]

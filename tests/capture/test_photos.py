@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image, ImageCms
 from PIL.PngImagePlugin import PngInfo
+from tests.make.datasets import write_set
 from tests.make.pictures import fixed, icc_profile
 from tests.refused import refused
 
 from devrf.calibration.sweep.masks import prepare_masks
 from devrf.capture.colour.photo_profile import SRGB_IN_D50
+from devrf.capture.formats import read_dataset
 from devrf.capture.mattes.given import read_given
 from devrf.capture.orientation import Upright, by_exif
 from devrf.capture.photos.extract import extract_folder
@@ -25,6 +27,7 @@ from devrf.capture.photos.upright_pictures import (
     read_picture,
     write_picture,
 )
+from devrf.capture.scene import Scene, load_image
 from devrf.capture.system.errors import CaptureError
 
 PICTURE = Image.fromarray(np.full((24, 32, 3), 90, np.uint8))
@@ -82,6 +85,28 @@ def test_colours_without_a_profile(tmp_path: Path, kind: str) -> None:
     green.save(profiled, icc_profile=icc_profile("x", *ICC["Adobe RGB" if kind == "R03" else "Display P3"]))
     np.testing.assert_allclose(read_pixels(said).astype(int), read_pixels(profiled), atol=2)
     assert read_pixels(said)[0, 0, 0] < 70
+
+
+@pytest.mark.parametrize("name", ["Adobe RGB", "Display P3"])
+@pytest.mark.parametrize("layout", ["nerfstudio", "colmap", "llff", "blender", "devrf"])
+def test_pictures_of_data_sets_are_brought_to_srgb(
+    odd_scene: Scene, tmp_path: Path, layout: Any, name: str
+) -> None:
+    """As photos of a capture are: what training sees is what a program shows that knows profiles."""
+    folder, notes = tmp_path / "set", []
+    write_set(layout, odd_scene, folder)
+    frame = read_dataset(layout, folder).static[2]
+    plain = load_image(frame, 1.0, "black").astype(int)
+    with Image.open(frame.path) as image:
+        image.convert("RGB").save(frame.path, icc_profile=icc_profile(name, *ICC[name]))
+    own, srgb = (ImageCms.ImageCmsProfile(BytesIO(data)) for data in (icc_profile(name, *ICC[name]), SRGB))
+    with Image.open(frame.path) as image:
+        shown = ImageCms.profileToProfile(image, own, srgb, ImageCms.Intent.RELATIVE_COLORIMETRIC)
+    (again,) = (f for f in read_dataset(layout, folder, notes=notes).static if f.path == frame.path)
+    seen = load_image(again, 1.0, "black").astype(int)
+    np.testing.assert_allclose(seen, np.asarray(shown), atol=2)
+    assert np.abs(seen - plain).mean() > 4
+    assert [name in note for note in notes if "colour profile" in note] == [True]
 
 
 def test_profiles_of_photos_are_named(tmp_path: Path) -> None:

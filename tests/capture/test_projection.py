@@ -138,3 +138,22 @@ def test_clips_and_photos_are_told_by_all_commands(make_clip, tmp_path, kind):
     assert whys == [[kind] if kind else []] * 3
     roles = guess_roles([FootageContent(look, "a.mp4", steadiness(look.greys), 0.0)], None)
     assert ("a.mp4" in roles.left) == (kind is not None)
+
+
+@pytest.mark.parametrize("count", [1, 6])
+@pytest.mark.parametrize("width", [64, 160])
+def test_panoramas_among_photos_are_no_camera(tmp_path, count, width):
+    """However many there are, and of what size: a camera of their own would have a lens that there is not."""
+    rng, folder = np.random.default_rng(0), tmp_path / "photos"
+    folder.mkdir()
+    for n in range(20):
+        Image.fromarray(rng.integers(0, 255, (48, 64, 3), np.uint8)).save(folder / f"IMG_{n}.jpg")
+    tag = b'<rdf GPano:ProjectionType="cylindrical"/>'
+    for n in range(count):
+        picture = Image.fromarray(rng.integers(0, 255, (48, width, 3), np.uint8))
+        picture.save(folder / f"PANO_{n}.jpg", xmp=tag)
+    got = extract_folder(folder, tmp_path, "static", "sweep", "photos")
+    assert sorted(str(f.photo) for f in got.used) == sorted(f"IMG_{n}.jpg" for n in range(20))
+    assert sum(f"{count} of {20 + count} photos are panoramas" in note for note in got.notes) == 1
+    assert not any(fault.code == "coding" for fault in got.faults)
+    assert look_at(folder, 12).projection is None

@@ -448,6 +448,31 @@ def test_pixels_that_are_not_square(tmp_path: Path, name):
     np.testing.assert_allclose([K[0, 0], K[1, 1]], [40, 44])
 
 
+@pytest.mark.parametrize("name", ["blender", "nerfstudio"])
+def test_test_pictures_that_alone_have_other_times_are_not_used(tmp_path: Path, name):
+    """As D-NeRF's test files beside a sweep: there is no motion to learn, and so none to measure."""
+    static, moving = ["a/0", "a/1", "a/2"], ["a/3", "a/4"]
+    times = [{"time": 0.25}, {"time": 0.75}]
+    if name == "blender":
+        transforms(tmp_path / "transforms_train.json", static, [0, 1, 2], camera_angle_x=0.8)
+        transforms(tmp_path / "transforms_test.json", moving, [3, 4], times, camera_angle_x=0.8)
+    else:
+        names = [f"{n}.png" for n in (*static, *moving)]
+        entries = [*({"split": "train"} for _ in static), *({**t, "split": "test"} for t in times)]
+        transforms(tmp_path / "transforms.json", names, list(range(5)), entries, camera_angle_x=0.8)
+    for n, file in enumerate(sorted((tmp_path / "a").glob("*"))):
+        cv2.imwrite(str(file), np.full((HEIGHT, WIDTH, 3), 90 + n, np.uint8))
+    notes: list[str] = []
+    scene = read_dataset(name, tmp_path, holdout_every=3, notes=notes)
+    assert [f.path.stem for f in scene.static] == ["0", "1", "2"] and not scene.dynamic
+    assert {f.split for f in scene.static} == {"train", "test"}
+    assert any(note.startswith("2 test pictures have a") and "not used" in note for note in notes)
+    if name == "blender":
+        transforms(tmp_path / "transforms_train.json", moving, [3, 4], times, camera_angle_x=0.8)
+        with refused("rest-missing", tmp_path, kind=CaptureError):
+            read_dataset(name, tmp_path)
+
+
 @pytest.mark.parametrize(
     "names",
     [

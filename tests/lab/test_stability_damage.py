@@ -235,7 +235,7 @@ def test_a_data_sets_clock_is_late_too(tmp_path: Path, odd_scene: Scene) -> None
     intact = Intact(
         load_scene(tmp_path / "scene.yaml", check_files=False), tmp_path, odd_scene, tmp_path, 2.0, 0
     )
-    before = {f.index: f.time_s for f in odd_scene.dynamic if f.camera_name == "cam1"}
+    before = {f.index: f.time_s or 0.0 for f in odd_scene.dynamic if f.camera_name == "cam1"}
 
     def late_s(done: Damage) -> dict[int, float]:
         assert done.stage == "scene"
@@ -248,7 +248,7 @@ def test_a_data_sets_clock_is_late_too(tmp_path: Path, odd_scene: Scene) -> None
         for frame in cam1:
             assert frame.time_s is not None and frame.time is not None and frame.time <= 1
             assert frame.time == pytest.approx((frame.time_s - found.t0_s) / (found.t1_s - found.t0_s))
-        return {f.index: f.time_s - before[f.index] for f in cam1}
+        return {f.index: (f.time_s or 0.0) - before[f.index] for f in cam1}
 
     assert late_s(between.late_clock(intact)) == pytest.approx({0: 1.5, 1: 1.5})  # a frame takes 0.75 s
     drifting = late_s(between.drifting_clock(_severe(intact, 1.0)))

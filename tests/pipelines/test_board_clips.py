@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from tests.refused import refused
 
 from devrf.calibration.boards.find import BoardSpec, BoardView
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
 from devrf.capture.orientation import Upright
+from devrf.capture.photos.extract import extract_folder
+from devrf.capture.photos.upright_pictures import read_picture
 from devrf.capture.system.errors import HealthError, InputError
 from devrf.lab.bench.accuracy.simulated_boards import SIZE, SPEC, board_views
 from devrf.pipelines.inputs import board_clips
@@ -127,3 +130,23 @@ def test_a_clip_that_is_turned_and_does_not_say_how_is_refused_as_that(
     other = replace(frames, cameras=frames.cameras | {"board_cam0": tall})
     with refused("board-clip-size", "720x1280", "turned", "held", kind=InputError):
         BoardClips(tmp_path, other, TOLD).search("cam0", "board_cam0")
+
+
+@pytest.mark.parametrize(("asked", "turned_deg"), [((3,) * 6, 180), ((6,) * 6, 270), ((1, 1, 1, 1, 3, 6), 0)])
+def test_photos_of_a_board_are_turned_to_the_pictures_of_its_camera(
+    frames: FrameSet, tmp_path: Path, asked: tuple[int, ...], turned_deg: int
+) -> None:
+    """Whatever turn photos of the board ask for, each is laid over the camera's clip as both are stored."""
+    (tmp_path / "board").mkdir()
+    cells = np.random.default_rng(0).integers(40, 200, (6, 3, 4, 3))
+    pictures = np.kron(cells, np.ones((1, 16, 16, 1))).astype(np.uint8)
+    for n, (picture, turn) in enumerate(zip(pictures, asked, strict=True)):
+        exif = Image.Exif()
+        exif[0x0112] = turn
+        Image.fromarray(picture).save(tmp_path / "board" / f"{n}.png", exif=exif)
+    photos = extract_folder(tmp_path / "board", tmp_path, "board_cam0", "board", "board")
+    assert len(photos.used) == 6 and photos.rotation_deg == turned_deg
+    turn = board_clips.turn_between(photos, replace(frames.cameras["cam0"], width=64, height=48))
+    assert turn is not None
+    for frame, picture in zip(photos.used, pictures, strict=True):
+        np.testing.assert_array_equal(turn.apply(read_picture(tmp_path / str(frame.file))), picture)

@@ -204,6 +204,25 @@ def test_a_board_clip_belongs_by_name_by_folder_or_by_size() -> None:
     assert names(longest.boards) == {"cam_b": "board_cam_b.mp4"}
 
 
+def test_board_clips_of_cameras_with_names_of_other_alphabets_and_with_long_ones() -> None:
+    """A name longer than a camera's may be is cut, and still known in its board clip's."""
+    long = [
+        f"{'take of the second day in the large hall by the window ' * 3}{side}" for side in ("left", "right")
+    ]
+    cameras = ["левая", "правая", "カメラ左", *long]
+    roles = roles_of(
+        SWEEP,
+        *(seen(f"{name}.mp4") for name in cameras),
+        *(
+            seen(f"{word}_{name}.mp4", board=1.0)
+            for word, name in zip(("доска", "board", "盤", "board", "calib"), cameras, strict=True)
+        ),
+    )
+    assert not roles.left and len(roles.cameras) == len(cameras)
+    for name, camera in roles.cameras.items():
+        assert roles.boards[name].name.endswith(f"_{camera.name}")
+
+
 def test_photos_of_a_board_are_no_sweep() -> None:
     roles = roles_of(
         SWEEP, seen("clips/cam1.mp4"), photos("intrinsics/int_cam1_img", board=0.4, count=7),

@@ -23,13 +23,16 @@ from devrf.capture.camera import Camera
 from devrf.capture.formats.parts.scene_files import read_scene
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
 from devrf.capture.photos.picture_files import read_pixels, write_png
-from devrf.capture.scene import Scene, load_image
-from devrf.capture.system.errors import CaptureError
+from devrf.capture.scene import PosedFrame, Scene, load_image
+from devrf.capture.system.errors import CaptureError, HealthError
+from devrf.capture.system.progress import no_progress
 from devrf.pipelines.config.scene import SceneConfig
 from devrf.pipelines.health.box_rows import box_measures
+from devrf.pipelines.health.matte_rows import matte_measures
 from devrf.pipelines.stage import StageContext
 from devrf.pipelines.stages.scene import captured_scene
 from devrf.pipelines.stages.scene import scene_stage as stage
+from devrf.pipelines.stages.scene.scene_mattes import scene_mattes
 
 WIDTH, HEIGHT, FOCAL = 64, 48, 70.0
 BALL = np.array([0.1, 0.0, 0.05])
@@ -215,6 +218,47 @@ def test_a_common_colour_is_no_screen_unless_it_is_named(
     assert f"({row.value})" in row.remedy
     assert re.fullmatch("static #[0-9a-f]{6}, cam0 #[0-9a-f]{6}", row.value)
     assert "screen-colour" not in session.scene({"method": "chroma", "colour": "#aa821e"})[1]
+
+
+@pytest.mark.parametrize("found", ["none", "doubtful"])
+@pytest.mark.parametrize("cameras", [2, 3])
+def test_a_camera_without_its_screen_is_left_out_where_others_are_enough(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cameras: int, found: str
+) -> None:
+    """It stands before a wall: no screen is found, or a large cloth of another colour is taken for one."""
+    session = Session(tmp_path, monkeypatch)
+    filmed, moving = FrameSet.read(session.run / "ingest"), []
+    for n in range(1, cameras):
+        session.behind = (
+            GREEN if n < cameras - 1 else np.array([[90, 90, 90], [170, 60, 160]][found == "doubtful"])
+        )
+        view = look_at(0.4 + n)
+        clip = session._filmed(f"cam{n}", [(view, BALL)] * 3, "camera")
+        filmed.cameras[f"cam{n}"] = clip
+        moving += [frame_of(session, view, f"cam{n}", k) for k in range(3)]
+    moving += [frame_of(session, session.fixed, "cam0", k) for k in range(6)]
+    capture = {"static": "static.mp4", "cameras": {n: f"{n}.mp4" for n in filmed.moving}, "mattes": "chroma"}
+    config = SceneConfig.model_validate({"name": "ball", "capture": capture})
+    out = session.folder / "out"
+    out.mkdir()
+    context = StageContext(config, session.folder, session.run, out, lambda done, text: None, "cpu")
+    last = f"cam{cameras - 1}"
+    if cameras == 2 and found == "none":
+        with refused("key-colour-unfound", f"'{last}'", kind=HealthError):
+            scene_mattes(context, filmed, (), tuple(moving), no_progress)
+        return
+    mattes = scene_mattes(context, filmed, (), tuple(moving), no_progress)
+    assert mattes is not None
+    kept = {frame.camera_name for frame in mattes.dynamic}
+    assert kept == set(mattes.cameras) == set(filmed.moving) - ({last} if cameras == 3 else set())
+    rows = fired([*context.measures, *matte_measures(mattes)])
+    assert ("screen-colour" in rows) == (cameras == 2)
+    assert [row.about for row in rows.values() if row.code == "camera-left-out"] == [last] * (cameras == 3)
+
+
+def frame_of(session: Session, view: Camera, name: str, n: int) -> PosedFrame:
+    path = session.run / "ingest" / f"frames/{name}/{n:06d}.png"
+    return PosedFrame(path, view, name, n, n / 10, n / 10, "train")
 
 
 def test_a_missing_matte_is_named(session: Session) -> None:

@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.capture.test_projection import eyes, wide
+from tests.conftest import Command
 from tests.judged import judged, named
+from tests.make.clips import film
 from tests.refused import refused
 
 from devrf.capture.frames import CameraFrames, FrameRecord, FrameSet
@@ -222,3 +225,51 @@ def test_health_of_a_good_and_of_a_bad_capture():
     blurry = found["sweep-blurred"].remedy
     assert re.match(r"clip.mp4: 4 of 12 .*frame 0 \(0.00 s\), frame 3 \(0.10 s\)", blurry)
     assert "3 frames missing in 1 gaps, after 1.20 s" in found["frames-dropped cam0"].remedy
+
+
+@pytest.mark.parametrize(("odd", "code"), [("cam0", 0), ("cam2", 0), ("cam1 cam2", 3)])
+def test_a_camera_that_no_lens_made_is_left_out_where_others_are_enough(
+    tmp_path: Path, devrf: Command, odd: str, code: int
+) -> None:
+    """Two eyes in one picture; also of the first camera, whose clock the others keep; a calibration places all."""
+    poses = {}
+    for n, name in enumerate(("cam0", "cam1", "cam2")):
+        pictures = [(eyes if name in odd.split() else wide)(5 * n + k) for k in range(12)]
+        film(tmp_path / f"{name}.mp4", pictures, rate=10)
+        poses[name] = {"R": np.eye(3).tolist(), "T": [0.1 * n, 0.0, 2.0]}
+    lens = {
+        "model": "OPENCV",
+        "image_size": [160, 80],
+        "K": [[90, 0, 80], [0, 90, 40], [0, 0, 1]],
+        "dist": [[0.0] * 5],
+    }
+    (tmp_path / "rig.json").write_text(
+        json.dumps({"cameras": dict.fromkeys(poses, lens), "camera_poses": poses})
+    )
+    scene = {
+        "name": "odd",
+        "output": "run",
+        "preset": "tiny",
+        "capture": {"cameras": {n: f"{n}.mp4" for n in poses}},
+    }
+    scene["calibration"] = {"rig": {"given": "rig.json", "given_unit": "m"}, "sync": {"method": "none"}}
+    (tmp_path / "scene.yaml").write_text(json.dumps(scene))
+    done = devrf("run", tmp_path, "--until", "rig")
+    assert done.code == code, done.said
+    assert all(f"{name}.mp4: Keep one eye" in done.said for name in odd.split())
+    if code == 0:
+        rig = json.loads((tmp_path / "run" / "rig" / "rig.json").read_text())
+        assert list(rig["cameras"]) == [name for name in poses if name != odd]
+        assert list(rig["left_out"]) == [odd]
+        rows = json.loads((tmp_path / "run" / "rig" / "health.json").read_text())["rows"]
+        assert [row["about"] for row in rows if row["code"] == "camera-left-out"] == [odd]
+
+
+@pytest.mark.parametrize(("count", "verdict"), [(32, "fail"), (96, "warn")])
+def test_a_sweep_is_refused_only_where_too_few_pictures_are_sharp(
+    count: int, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A quarter of them is: of 96 that is as many as a good sweep has."""
+    monkeypatch.setattr(ingest, "sharp", lambda values: np.arange(len(values)) % 4 == 0)
+    row = judged(ingest.ingested(FrameSet({"static": frames("sweep", count)})))["sweep-blurred"]
+    assert row.verdict == verdict and f"{3 * count // 4} of {count}" in row.remedy

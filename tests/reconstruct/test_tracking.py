@@ -20,15 +20,15 @@ from devrf.capture.system.errors import OutOfTime
 from devrf.flow.dis import DisFlow
 from devrf.reconstruct.storage.checkpoint import Checkpoint
 from devrf.reconstruct.storage.training_log import TrainingLog
-from devrf.reconstruct.tracking import recovery
 from devrf.reconstruct.tracking.cross_validation import CrossValidation
 from devrf.reconstruct.tracking.follow import SurfaceTracks, _Following, _Task, follow_both_ways, moments
 from devrf.reconstruct.tracking.follower import Follower
 from devrf.reconstruct.tracking.likelihoods import MOMENTS, Likelihoods, likelihoods
+from devrf.reconstruct.tracking.lost import recovery
+from devrf.reconstruct.tracking.lost.recovery import carried, look_again
 from devrf.reconstruct.tracking.moving_points import PRIOR, _cut, _in_planes, _links, _log_odds, moving_points
 from devrf.reconstruct.tracking.offsets import Offsets, Shown, offsets_of, offsets_to_follow
-from devrf.reconstruct.tracking.pose import Estimate, Shots, believed
-from devrf.reconstruct.tracking.recovery import FARTHER, carried, look_again
+from devrf.reconstruct.tracking.pose import FARTHER, Estimate, Shots, believed
 from devrf.reconstruct.tracking.rigid import motion_of, residual, rigid_parts
 from devrf.reconstruct.tracking.soft import soft_motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose

@@ -45,6 +45,7 @@ from devrf.lab.simulate.scenes.catalogue import (
     Mesh,
     MovingObject,
     Paint,
+    Room,
     picture_on_quad,
     room,
     texture,
@@ -109,12 +110,7 @@ def simulate_session(
     load_mitsuba()
     seeds = np.random.default_rng(simulation.seed).spawn(6)
     daylight = options.room == "workshop"
-    if daylight:
-        around = workshop_room(seeds[0], options.texture_contrast)
-    elif options.room == "patterned":
-        around = room(seeds[0], options.texture_contrast)
-    else:
-        around = furnished(options.room, seeds[0], options.texture_contrast)
+    around = room_of(seeds[0], options)
     thing = make_object(simulation.scene, seeds[1], options)
     still = [*around.still, *thing.stand]
     if options.board:
@@ -177,6 +173,15 @@ def check_simulation(simulation: Simulation[SessionOptions]) -> None:
     if options.strip_m and scene != "sheet":
         wrong = f"simulate: strip_m {options.strip_m}: only a sheet is cut into strips"
         raise InputError("options-contradict", f"{wrong}, expected --scene sheet")
+
+
+def room_of(rng: np.random.Generator, options: SessionOptions) -> Room:
+    """What stands around the object, and what moves behind it."""
+    if options.room == "workshop":
+        return workshop_room(rng, options.texture_contrast)
+    if options.room == "patterned":
+        return room(rng, options.texture_contrast)
+    return furnished(options.room, rng, options.texture_contrast)
 
 
 def _check_folder(out: Path) -> None:

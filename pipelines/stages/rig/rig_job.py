@@ -39,7 +39,11 @@ class RigJob:
         self.context = context
         self.ingest = context.run_dir / "ingest"
         self.frames = FrameSet.read(self.ingest)
-        self.trained, self.tests = self.frames.trained, self.frames.tests
+        self.no_lens = self.frames.without_lens
+        self.trained, self.tests = (
+            {name: c for name, c in of.items() if name not in self.no_lens}
+            for of in (self.frames.trained, self.frames.tests)
+        )
         self.spec = board_spec(context.config)
         self.clips = (
             None

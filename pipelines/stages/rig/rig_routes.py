@@ -104,8 +104,14 @@ def from_board(job: RigJob) -> Rig:
 
 
 def with_test_cameras(job: RigJob, rig: Rig) -> Rig:
-    """The rig with its test cameras, each placed by itself against what stands; those that cannot be are named."""
-    placed, missing = dict(rig.cameras), dict(rig.left_out)
+    """The rig with its test cameras, each placed by itself against what stands; those that cannot be are named.
+
+    Cameras whose pictures no lens makes are left out, wherever their poses came from.
+    """
+    placed = {name: c for name, c in rig.cameras.items() if name not in job.no_lens}
+    missing = rig.left_out | job.no_lens
+    job.leave_out({name: why for name, why in job.no_lens.items() if name in job.frames.trained})
+    job.measures += [left_out(name, why) for name, why in job.no_lens.items() if name in job.frames.tests]
     for name in job.tests:
         try:
             placed[name] = rig.cameras.get(name) or _test_camera(job, name, rig)
@@ -194,7 +200,7 @@ def _scales(job: RigJob, model: SweepModel, centres: dict[str, np.ndarray]) -> l
         found += [] if scale is None else [scale]
         job.measures += noted([text] if scale is None and text else [], "board in the sweep")
     distance = job.settings.known_distance_m
-    if distance is not None and (lost := [n for n in list(job.trained)[:2] if n not in centres]):
+    if distance is not None and (lost := [n for n in list(job.frames.trained)[:2] if n not in centres]):
         text = f"calibration.rig.known_distance_m is not used, since {' and '.join(lost)} has no place"
         job.measures += noted([text], "known distance")
     elif distance is not None:

@@ -67,6 +67,8 @@ def scene_from_capture(
     context.progress(0.4, "what moves")
     points = None if whole is None else _points(whole, factor, every)
     mattes = scene_mattes(context, frames, static, dynamic, part(context.progress, 0.4, 0.4))
+    if mattes is not None:
+        static, dynamic = mattes.static, mattes.dynamic
     used = {frame.camera_name for frame in dynamic if frame.split == "train"}
     clips = {
         name: filmed_clip(ingest, camera, rig.cameras[name].camera, clocks[name])
@@ -77,7 +79,6 @@ def scene_from_capture(
     if mattes is None:
         masks = list(moves.values())
     else:
-        static, dynamic = mattes.static, mattes.dynamic
         for name in frames.tests.keys() & mattes.cameras.keys():
             context.measures += of_test(name, matte_measures(mattes.only([name])))
         mattes = mattes.only([SWEEP, *frames.trained])

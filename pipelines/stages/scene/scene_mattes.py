@@ -11,6 +11,7 @@ from devrf.capture.frames import FrameSet
 from devrf.capture.mattes.chroma import parse_colour
 from devrf.capture.mattes.given import SWEEP, cameras_with_mattes
 from devrf.capture.mattes.make import CameraMattes, MatteClip, chroma_mattes, given_mattes
+from devrf.capture.measure import ENOUGH_CAMERAS, Measure
 from devrf.capture.photos.photo_folders import list_pictures
 from devrf.capture.scene import PosedFrame, by_camera
 from devrf.capture.system.errors import DevrfError
@@ -20,6 +21,10 @@ from devrf.pipelines.health.left_out import left_out
 from devrf.pipelines.inputs.capture_session import raw_file
 from devrf.pipelines.stage import StageContext
 
+DOUBTFUL = (
+    "the commonest strong colour of its pictures is neither a green nor a blue screen's and may be the subject; name "
+    "the screen's colour (capture.mattes: {method: chroma, colour: '#00b140'})"
+)
 Maker = Callable[[MatteClip, Progress], CameraMattes]
 
 
@@ -39,14 +44,20 @@ def scene_mattes(
     clips = _clips(context, frames, static, dynamic)
     make, names = _maker(capture.mattes, context, out, list(clips))
     made: dict[str, CameraMattes] = {}
+    unfound: dict[str, DevrfError] = {}
     for n, name in enumerate(names):
         try:
             made[name] = make(clips[name], part(progress, n / len(names), 1 / len(names)))
         except DevrfError as error:
-            if name not in frames.tests:
+            if name not in frames.tests and (name == SWEEP or error.code != "key-colour-unfound"):
                 raise
-            context.measures.append(left_out(name, str(error)))
-            dynamic = tuple(frame for frame in dynamic if frame.camera_name != name)
+            unfound[name] = error
+    lost = _without_screen(frames, made, unfound)
+    for name, why in lost.items():
+        about = left_out(name, why) if name in frames.tests else _no_matte(name, why)
+        context.measures.append(about)
+    made = {name: mattes for name, mattes in made.items() if name not in lost}
+    dynamic = tuple(frame for frame in dynamic if frame.camera_name not in lost)
     matte_of = {
         picture: matte
         for name, mattes in made.items()
@@ -61,6 +72,29 @@ def scene_mattes(
     trained = clips.keys() - frames.tests.keys()
     everywhere = bool(static) and trained <= set(names)
     return SceneMattes(matted(static), matted(dynamic), made, small, everywhere)
+
+
+def _without_screen(
+    frames: FrameSet, made: dict[str, CameraMattes], unfound: dict[str, DevrfError]
+) -> dict[str, str]:
+    """Cameras that the scene goes on without -> why: no screen is found, or what is found may be the subject.
+
+    Raises:
+        DevrfError: That of a training camera without which too few others are left.
+    """
+    trained = [name for name in made if name in frames.trained]
+    doubtful = [name for name in trained if made[name].doubtful_key]
+    lost = {name: str(error) for name, error in unfound.items()}
+    if len(trained) - len(doubtful) >= ENOUGH_CAMERAS:
+        return lost | dict.fromkeys(doubtful, DOUBTFUL)
+    missed = [error for name, error in unfound.items() if name in frames.trained]
+    if missed and len(trained) < ENOUGH_CAMERAS:
+        raise missed[0]
+    return lost
+
+
+def _no_matte(name: str, why: str) -> Measure:
+    return Measure("camera-left-out", "no matte", name, facts={"reason": f"{why}."})
 
 
 def _maker(

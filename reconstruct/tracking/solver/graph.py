@@ -37,6 +37,12 @@ class Pose:
         """Nothing has moved."""
         return Pose(np.tile(np.eye(3), (nodes, 1, 1)), np.zeros((nodes, 3)))
 
+    def with_nodes(self, nodes: Int[np.ndarray, " k"], other: "Pose") -> "Pose":
+        """The same, but some nodes as in another pose."""
+        rotations, shifts = self.rotations.copy(), self.shifts.copy()
+        rotations[nodes], shifts[nodes] = other.rotations[nodes], other.shifts[nodes]
+        return Pose(rotations, shifts)
+
 
 class Graph:
     """Nodes, and how points follow them.

@@ -1,7 +1,9 @@
 """Which surface points a camera sees: points are drawn as small squares, the nearest one counts."""
 
 import numpy as np
+from jaxtyping import Bool, Float
 
+from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.surface import SurfacePoints
 from devrf.reconstruct.tracking.views.film import CameraFilm
 
@@ -16,6 +18,7 @@ class Sight:
 
     Attributes:
         ids: Point drawn at each pixel, -1: none [h, w].
+        depth: Along the optical axis, of what hides at each pixel: the points, or what stands [h, w].
         at: Of the points in the picture, pixels [n, 2]; NaN behind the camera.
         seen: Whether a point is seen [n].
     """
@@ -23,17 +26,29 @@ class Sight:
     def __init__(self, film: CameraFilm, surface: SurfacePoints) -> None:
         camera, xyz = film.camera, surface.xyz
         self.at = camera.project(xyz)
-        z = (xyz @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3])[:, 2]
+        z = depth_of(camera, xyz)
         self.ids, depth = _drawn(film, self.at, z, surface.spacing)
+        self.depth = np.minimum(depth, film.depth)
         size = np.array([camera.width, camera.height])
         inside = np.all((self.at > 1) & (self.at < size - 1), axis=1)  # NaN is not
         pixel = np.where(inside[:, None], self.at, 0).astype(int)
         x, y = pixel.T
-        towards = camera.centre - xyz
-        facing = (towards * surface.normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
         drawn = self.ids[y, x] >= 0
-        self.seen = inside & facing & drawn & (z < depth[y, x] + SLACK)
+        self.seen = inside & faces(camera, xyz, surface.normals) & drawn & (z < depth[y, x] + SLACK)
         self.pixel = pixel
+
+
+def depth_of(camera: Camera, xyz: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Depth of points along the optical axis."""
+    return (xyz @ camera.cam_from_world[:, :3].T + camera.cam_from_world[:, 3])[:, 2]
+
+
+def faces(
+    camera: Camera, xyz: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
+) -> Bool[np.ndarray, " n"]:
+    """Whether surfaces at points show their front to a camera."""
+    towards = camera.centre - xyz
+    return (towards * normals).sum(1) > FACING * np.linalg.norm(towards, axis=1)
 
 
 def _drawn(film: CameraFilm, at: np.ndarray, z: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:

@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from devrf.reconstruct.tracking.pose import STEPS, Estimate, Shots
+from devrf.reconstruct.tracking.lost.joint_search import turn_limbs
+from devrf.reconstruct.tracking.pose import FARTHER, STEPS, Estimate, Shots
 from devrf.reconstruct.tracking.rigid import motion_of, residual
 from devrf.reconstruct.tracking.solver.graph import Pose
 from devrf.reconstruct.tracking.trajectory import SEEK_EVERY, Trajectory
 
-FARTHER = (5.0, 2.5), (1.2, 0.0)  # pixels by which pictures are blurred, as a pose is fitted
 FEWEST_LOST = 2  # nodes for which other guesses are tried
 AGAIN = 0.1  # likeness that another guess must bring
 AS_ONE = 0.15  # edge lengths: nodes that one motion leaves farther off than this do not move as one
@@ -35,11 +35,11 @@ def look_again(shots: Shots, found: Estimate, expected: Pose) -> None:
     if due and found.lost.sum() >= FEWEST_LOST:
         asked = graph.points_of(found.lost)
         for guess in _guesses(shots, found, expected):
-            other = shots.fit(_with(found.pose, guess, np.flatnonzero(found.lost)), FARTHER, asked)
+            other = shots.fit(found.pose.with_nodes(np.flatnonzero(found.lost), guess), FARTHER, asked)
             liked = shots.likeness(other)
             for group in graph.groups(found.lost):
                 if _more(liked[group], found.likeness[group]) > AGAIN:
-                    found.pose = _with(found.pose, other, group)
+                    found.pose = found.pose.with_nodes(group, other)
                     found.likeness[group] = liked[group]
             found.see(found.likeness)
             if not found.lost.any():
@@ -48,6 +48,8 @@ def look_again(shots: Shots, found: Estimate, expected: Pose) -> None:
             past.sought = past.coming
     if found.lost.any():
         found.pose = _carried_if_better(shots, found)
+        if due:
+            turn_limbs(shots, found)
 
 
 def _guesses(shots: Shots, found: Estimate, expected: Pose) -> Iterator[Pose]:
@@ -80,7 +82,7 @@ def _carried_if_better(shots: Shots, found: Estimate) -> Pose:
     for other, likeness in ((as_at_rest, shots.likeness(as_at_rest)), (found.pose, found.likeness)):
         for group in shots.graph.groups(lost):
             if _more(likeness[group], liked[group]) > 0:
-                out = _with(out, other, group)
+                out = out.with_nodes(group, other)
                 liked[group] = likeness[group]
     return out
 
@@ -135,10 +137,3 @@ def _more(liked: Float[np.ndarray, " k"], before: Float[np.ndarray, " k"]) -> fl
     """By how much more pictures show of some nodes than before, in the mean; NaN where nothing is known of them."""
     known = np.isfinite(liked) & np.isfinite(before)
     return float(liked[known].mean() - before[known].mean()) if known.any() else np.nan
-
-
-def _with(pose: Pose, other: Pose, nodes: Int[np.ndarray, " k"]) -> Pose:
-    """A pose in which some nodes are as in another."""
-    rotations, shifts = pose.rotations.copy(), pose.shifts.copy()
-    rotations[nodes], shifts[nodes] = other.rotations[nodes], other.shifts[nodes]
-    return Pose(rotations, shifts)
