@@ -118,7 +118,7 @@ def test_sweeps_whose_lens_is_elsewhere_in_each_picture(
     rows = json.loads((tmp_path / "run" / "static_poses" / "health.json").read_text())["rows"]
     found = {row["about"]: row for row in rows if row["verdict"] != "ok"}
     assert done.code == 3 and named in found[about]["remedy"]
-    assert kind == "stabilised" or "horizontal against vertical" in found
+    assert kind == "stabilised" or "horizontal (fx) against vertical (fy)" in found
 
 
 @pytest.mark.full

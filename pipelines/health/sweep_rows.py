@@ -136,7 +136,9 @@ def _lenses(model: SweepModel, board: Intrinsics | None, pixel_aspect: float) ->
     most = max(lenses, key=lambda camera: oblong(camera, pixel_aspect))
     facts = {"fx": most.K[0, 0], "fy": most.K[1, 1], "aspect": pixel_aspect}
     percent = 100 * oblong(most, pixel_aspect)
-    yield Measure("sweep-focal", percent, "horizontal against vertical", "oblong", facts, warn=OBLONG)
+    yield Measure(
+        "sweep-focal", percent, "horizontal (fx) against vertical (fy)", "oblong", facts, warn=OBLONG
+    )
     folds = min(fold(c) for c in lenses)
     if folds < 1:
         yield Measure("sweep-focal", f"one-to-one to {100 * folds:.0f} % of the corners", MODEL, "folds")

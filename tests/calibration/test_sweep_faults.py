@@ -245,13 +245,13 @@ def test_focal_lengths_across_and_down_that_differ_are_named(corner):
     model = corner.model
     stretched = [replace(c, K=np.diag([1.0, 1.04, 1.0]) @ c.K) for c in model.cameras]
     rows = fired(replace(model, cameras=tuple(stretched), obs_xy=seen_by(model, dict(enumerate(stretched)))))
-    row = rows["sweep-focal horizontal against vertical"]
+    row = rows["sweep-focal horizontal (fx) against vertical (fy)"]
     assert row.value == pytest.approx(4, abs=0.1) and row.verdict == "warn" and "tabilisation" in row.remedy
     counts = dict(zip(model.names, range(20, 100), strict=False))
     points = fired(changed(replace(model, cameras=tuple(stretched)), points_per_image=counts))["sweep-points"]
     assert points.verdict == "fail" and "lens" in points.remedy and "texture" not in points.remedy
     said = sweep_measures(replace(model, cameras=tuple(stretched)), pixel_aspect=1.04)  # as the file says
-    assert "sweep-focal horizontal against vertical" not in judged.fired(said)
+    assert "sweep-focal horizontal (fx) against vertical (fy)" not in judged.fired(said)
 
 
 @pytest.mark.parametrize(("later_px", "verdict"), [(320.0, "warn"), (345.0, "fail")])
