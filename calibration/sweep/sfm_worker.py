@@ -287,7 +287,9 @@ def _attempt(
     def registered() -> None:
         done[0] += 1
         share = min(1.0, done[0] / pictures)
-        _say(0.7 + 0.28 * share, f"mapping ({rung['name']}): {done[0]} of {pictures} pictures")
+        # Pictures that fit no model are tried in another.
+        placed = f"{done[0]} of {pictures} pictures" if share < 1 else f"{pictures} pictures"
+        _say(0.7 + 0.28 * share, f"mapping ({rung['name']}): {placed}")
 
     models = pycolmap.incremental_mapping(
         str(database), job["image_path"], str(output), options, next_image_callback=registered
