@@ -1,5 +1,6 @@
 """`devrf-pipeline simulate`: what the words of the command line become, and what it says of wrong ones."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,11 +8,13 @@ from pydantic import BaseModel, ValidationError
 from tests.refused import refused
 
 from devrf.capture.system.errors import InputError
+from devrf.capture.system.progress import Progress
 from devrf.lab import simulate_command
 from devrf.lab.simulate.protocol.dataset_options import DatasetOptions, ForwardOptions
 from devrf.lab.simulate.protocol.forward import simulate_forward
 from devrf.lab.simulate.protocol.simulate_dataset import Made, simulate_dataset
 from devrf.lab.simulate.scenes.session_options import SessionOptions
+from devrf.lab.simulate.scenes.simulation import Simulation
 from devrf.lab.simulate.session.simulate_session import simulate_session
 from devrf.pipelines.terminal.console import Talk
 
@@ -31,9 +34,9 @@ def test_each_protocol_has_its_own_defaults(
 ) -> None:
     got: list[tuple] = []
 
-    def render(out, scene, *, cameras, seed, size, options, progress):
-        got.append((scene, cameras, size, type(options)))
-        assert seed == 0 and options.spp == 12
+    def render(out: Path, made: Simulation, *, progress: Progress) -> Path | Made:
+        got.append((made.scene, made.cameras, made.size, type(made.options)))
+        assert made.seed == 0 and made.options.spp == 12
         return out / "scene.yaml" if protocol == "session" else Made(out / "scene.yaml", 1)
 
     chosen = simulate_command.PROTOCOLS[protocol]
@@ -51,9 +54,9 @@ def test_a_scene_has_usual_options_that_others_replace(
 ) -> None:
     got: list[tuple] = []
 
-    def render(out, scene, *, size, options, **_):
-        got.append((size[0], options.other_fps))
-        assert scene == options.room == "workshop" and options.portrait
+    def render(out: Path, made: Simulation, *, progress: Progress) -> Path:
+        got.append((made.size[0], made.options.other_fps))
+        assert made.scene == made.options.room == "workshop" and made.options.portrait
         return out / "scene.yaml"
 
     chosen = simulate_command.PROTOCOLS["session"]
@@ -117,9 +120,13 @@ def test_wrong_words_are_named(
 def test_bad_arguments_are_refused_before_anything_is_written(
     tmp_path: Path, make, change: dict, refusal: tuple
 ):
-    usual = {simulate_session: "sheet", simulate_dataset: "arm", simulate_forward: "flower"}
+    scene, options = {
+        simulate_session: ("sheet", SessionOptions()),
+        simulate_dataset: ("arm", DatasetOptions()),
+        simulate_forward: ("flower", ForwardOptions()),
+    }[make]
     with refused(*refusal, kind=InputError):
-        make(tmp_path / "out", **{"scene": usual[make], "size": (64, 40), **change})
+        make(tmp_path / "out", replace(Simulation(scene, 3, 0, (64, 40), options), **change))
     assert not (tmp_path / "out").exists()
 
 

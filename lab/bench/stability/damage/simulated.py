@@ -74,7 +74,7 @@ def larger(intact: Intact) -> Damage:
         if made["protocol"] != "devrf":
             raise ValueError(made["protocol"])
     except (OSError, KeyError, ValueError):
-        text = "it is no data set that `simulate --protocol devrf` made"
+        text = "it is no data set that the simulator made by protocol devrf"
         raise DoesNotApply("session-not-simulated", text) from None
     folder = intact.folder.resolve().parent / "dataset"  # the same for all seeds
     try:
