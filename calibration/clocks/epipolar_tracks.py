@@ -9,6 +9,7 @@ CVPR 2017). Cameras must see the same side of the subject; others are compared b
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -71,6 +72,7 @@ class TrackFinder:
         self._mask = _moving(pictures.grey)
         self._described: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._found: dict[tuple[int, int], PointTracks | None] = {}
+        self._lock = Lock()  # two pairs of cameras that share this one ask side by side
 
     def near(self, time_s: float) -> int:
         """Index of the picture nearest to a file time."""
@@ -79,8 +81,9 @@ class TrackFinder:
     def at(self, index: int, around: int) -> PointTracks | None:
         """Tracks from `around` frames before a picture to as many after it; None where there are none."""
         key = (index, around)
-        if key not in self._found:
-            self._found[key] = self._track(index, around)
+        with self._lock:
+            if key not in self._found:
+                self._found[key] = self._track(index, around)
         return self._found[key]
 
     def _track(self, index: int, around: int) -> PointTracks | None:

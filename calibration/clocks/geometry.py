@@ -167,14 +167,14 @@ def _compared(
 
     with ThreadPoolExecutor(usable_cores()) as pool:  # following points lets other threads run
         for i, (pair, of_pair) in enumerate(zip(combinations, pool.map(widely, combinations), strict=True)):
-            progress(0.5 * (i + 1) / len(combinations), "geometry of {} and {}".format(*pair))
-            planes[pair] = of_pair[0]
-            pairs[pair] = _better(of_pair[1], of_pair[0])
+            progress(0.5 * (i + 1) / len(combinations), "geometry of " + " and ".join(pair))
+            planes[pair], tracks = of_pair
+            pairs[pair] = _better(tracks, planes[pair])
         found = _solve(spans, pairs, firm)[0].offset_s
         reached = [(a, b) for a, b in combinations if a in found and b in found]
         narrowly = pool.map(lambda pair: work.narrow_search(pair[0], pair[1], found), reached)
         for i, (pair, tracks) in enumerate(zip(reached, narrowly, strict=True)):
-            progress(0.5 + 0.5 * (i + 1) / len(reached), "geometry of {} and {}".format(*pair))
+            progress(0.5 + 0.5 * (i + 1) / len(reached), "geometry of " + " and ".join(pair))
             if tracks is not None:
                 pairs[pair] = _better(tracks, planes[pair])
     solution, kept, dropped = _solve(spans, pairs, firm)

@@ -109,13 +109,11 @@ def extract_folder(
     photos = list(_put(pictures, out, name, white_balance, progress, workers))
     copies = _copies(photos) if role in ONCE else {}
     stitched = odd_ones([photo.projection for photo in photos])
-    left = [photo for i, photo in enumerate(photos) if i not in copies and i not in stitched]
-    counts = Counter(photo.size for photo in left)
+    left = {i: photo for i, photo in enumerate(photos) if i not in copies and i not in stitched}
+    counts = Counter(photo.size for photo in left.values())
     size = counts.most_common(1)[0][0]
     taken = {s for s, n in counts.items() if s == size or (role == "sweep" and n >= FEWEST_OF_A_SIZE)}
-    alike = [
-        i for i, photo in enumerate(photos) if photo.size in taken and i not in copies and i not in stitched
-    ]
+    alike = [i for i, photo in left.items() if photo.size in taken]
     chosen = {alike[k] for k in sharpest_per_window([photos[i].sharpness for i in alike], most or len(alike))}
     records = []
     for i, photo in enumerate(photos):
@@ -126,7 +124,7 @@ def extract_folder(
         turns = (photo.upright.orientation, photo.own.orientation)
         records.append(FrameRecord(i, None, photo.sharpness, used, kept, photo.exif, photo.name, *turns))
     focals = [p.exif.focal_px for p in photos if p.exif is not None and p.exif.focal_px is not None]
-    main = [photo for photo in left if photo.size == size]
+    main = [photo for photo in left.values() if photo.size == size]
     kind = projection_of(
         (p.projection for p in main), [p.small for p in main if p.small is not None][:ENOUGH]
     )

@@ -60,7 +60,7 @@ class Follower:
         shots = self.shots()
         shots.come()
         lost = past.lost[-1]
-        expected = carried(past, past.ahead(), lost | past.jumped, past.poses[-1])
+        expected = carried(past, past.ahead(), lost, past.poses[-1])
         found = Estimate(expected, lost, np.full(len(lost), np.nan))
         if len(shots.all) >= FEWEST_CAMERAS:
             found.pose = shots.fit(expected, SIGMAS, believed=believed(graph, lost))
@@ -69,7 +69,6 @@ class Follower:
             self.left_out.leave_out(shots, found.pose, expected, believed(graph, found.lost))
             look_again(shots, found, expected)
         past.add(found.pose, found.lost)
-        past.jumped = found.jumped
         if moment % LEARN_EVERY == 0:
             self._learn(shots)
 

@@ -10,7 +10,7 @@ where all that hangs together is lost.
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -38,16 +38,11 @@ class Estimate:
         pose: Of its nodes.
         lost: Nodes that pictures do not show [n].
         likeness: Of pictures to the points of each node: 1 alike, -1 what stands behind; NaN not known [n].
-        jumped: Nodes that were found elsewhere than their way led: it says nothing of how fast they go [n].
     """
 
     pose: Pose
     lost: Bool[np.ndarray, " n"]
     likeness: Float[np.ndarray, " n"]
-    jumped: Bool[np.ndarray, " n"] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.jumped = np.zeros_like(self.lost)
 
     def see(self, likeness: Float[np.ndarray, " n"]) -> None:
         """Tell what is lost by a likeness; what nothing is known of stays what it was."""

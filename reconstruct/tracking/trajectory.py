@@ -21,7 +21,6 @@ class Trajectory:
         lost: Nodes that pictures do not show, at each [n].
         xyz: The points, at each [p, 3].
         sought: Moment at which what is lost was last sought in vain.
-        jumped: Nodes whose last way says nothing of how fast they go [n].
     """
 
     def __init__(self, graph: Graph, times: Float[np.ndarray, " t"]) -> None:
@@ -30,7 +29,6 @@ class Trajectory:
         self.gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
         self.poses, self.xyz = [Pose.rest(len(graph.nodes))], [graph.surface.xyz]
         self.lost = [np.zeros(len(graph.nodes), dtype=bool)]
-        self.jumped = self.lost[0]
 
     @property
     def coming(self) -> int:
@@ -68,7 +66,6 @@ class Trajectory:
             "shifts": np.stack([pose.shifts for pose in self.poses]),
             "lost": np.stack(self.lost),
             "sought": np.array(self.sought),
-            "jumped": self.jumped,
         }
 
     def take_up(self, state: Arrays) -> None:
@@ -76,4 +73,4 @@ class Trajectory:
         after = (state[name][1:] for name in ("rotations", "shifts", "lost"))
         for rotations, shifts, lost in zip(*after, strict=True):
             self.add(Pose(rotations, shifts), lost)
-        self.sought, self.jumped = int(state["sought"]), state["jumped"].copy()
+        self.sought = int(state["sought"])

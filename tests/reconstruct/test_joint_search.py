@@ -97,7 +97,6 @@ def test_a_forearm_that_comes_back_turned_is_found(arm: tuple[Graph, np.ndarray]
     before = np.linalg.norm(graph.surface.xyz - true.xyz, axis=1)[beyond].mean()
     off = np.linalg.norm(graph.points(found.pose) - true.xyz, axis=1)[beyond].mean()
     assert off < 0.15 < 0.4 < before  # a rotation among those tried, not yet followed
-    assert np.array_equal(found.jumped, lost)
     assert np.array_equal(found.pose.shifts[~lost], np.zeros((int((~lost).sum()), 3)))
 
 
@@ -105,7 +104,7 @@ def test_what_pictures_do_not_contradict_stays(arm: tuple[Graph, np.ndarray]) ->
     graph, _ = arm
     shots, found = estimate(graph, filmed(graph.surface, graph.surface), nodes_beyond_joint(graph))
     turn_limbs(shots, found)
-    assert not found.jumped.any() and not found.pose.shifts.any()
+    assert not found.pose.shifts.any()
 
 
 def test_a_limb_that_no_picture_shows_is_not_put_anywhere(arm: tuple[Graph, np.ndarray]) -> None:
@@ -114,19 +113,7 @@ def test_a_limb_that_no_picture_shows_is_not_put_anywhere(arm: tuple[Graph, np.n
         graph, filmed(graph.surface, graph.surface.only(~forearm)), nodes_beyond_joint(graph)
     )
     turn_limbs(shots, found)
-    assert not found.jumped.any() and not found.pose.shifts.any()
-
-
-def test_a_piece_that_hangs_on_nothing_is_put_back(arm: tuple[Graph, np.ndarray]) -> None:
-    whole, forearm = arm
-    apart = whole.surface.xyz + np.where(forearm[:, None], [0.2, 0.0, 0.0], 0.0)
-    graph = Graph(replace(whole.surface, xyz=apart))
-    lost = graph.nodes[:, 0] > 0.1
-    shots, found = estimate(graph, filmed(graph.surface, graph.surface), lost)
-    found.pose.shifts[lost] += [0.0, 0.3, 0.2]  # flown off
-    turn_limbs(shots, found)
-    assert np.array_equal(found.jumped, lost)
-    assert np.allclose(found.pose.shifts, 0, atol=1e-6)
+    assert not found.pose.shifts.any()
 
 
 def test_scores_tell_a_limb_from_what_stands(arm: tuple[Graph, np.ndarray]) -> None:

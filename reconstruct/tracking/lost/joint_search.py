@@ -10,12 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
-from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from devrf.capture.camera import Camera
 from devrf.reconstruct.tracking.pose import FARTHER, Estimate, Shots
-from devrf.reconstruct.tracking.rigid import motion_of
 from devrf.reconstruct.tracking.solver.graph import Graph, Pose
 from devrf.reconstruct.tracking.surface import SurfacePoints
 from devrf.reconstruct.tracking.views.film import Picture, blurred, sampled
@@ -25,11 +23,10 @@ from devrf.reconstruct.tracking.views.sight import BEHIND, Sight, depth_of, face
 ROTATIONS = 300  # 30 degrees apart: a fit comes from there
 TRIED = 4  # of them, those with the best colours
 # Scores: below the first pictures contradict a place, what is only hidden or a little off has more; above the second
-# they show the limb, which truly is at 0.3 to 0.8 where it is seen, and elsewhere after a fit at 0.2 at most.
+# they show the limb: a forearm had 0.3 to 0.8 at its true place, where it was seen.
 CONTRADICTED, SHOWN = -0.2, 0.25
 FEWEST_NODES = 5  # of a limb; fewer are skin at a joint
 MOST_POINTS = 300  # of a limb that are looked at
-NEAREST = 6  # nodes beside which a piece is put that hangs on nothing
 BLUR_PX = 2.0  # of the colours
 TELLING = 0.08  # difference between a point's colour and what stands behind that counts as one
 
@@ -54,9 +51,9 @@ class _Limb:
         self.looked_at = self.points & (counted % (1 + max(counted[-1], 0) // MOST_POINTS) == 0)
         self.rgb = graph.surface.rgb[self.looked_at].astype(np.float32)
 
-    def score(self, views: list[ViewWithout], pose: Pose) -> float:
-        """How much pictures show of it."""
-        there = self.graph.posed(pose).only(self.looked_at)
+    def score(self, views: list[ViewWithout], surface: SurfacePoints) -> float:
+        """How much pictures show of it, where the surface is."""
+        there = surface.only(self.looked_at)
         return float(score(views, there.xyz[None], there.normals[None], self.rgb)[0])
 
     def turned(self, views: list[ViewWithout], pose: Pose, lost: Bool[np.ndarray, " n"]) -> list[Pose]:
@@ -78,24 +75,9 @@ class _Limb:
             out.append(Pose(rotations, shifts))
         return out
 
-    def beside(self, pose: Pose, lost: Bool[np.ndarray, " n"]) -> Pose:
-        """The pose with the piece as at rest beside the nodes that are nearest to it there."""
-        graph, nodes = self.graph, self.nodes
-        known = np.flatnonzero(~lost)
-        away = np.asarray(KDTree(graph.nodes[nodes]).query(graph.nodes[known])[0])
-        near = known[np.argsort(away, kind="stable")[:NEAREST]]
-        (rotation,), (shift,) = motion_of(graph.nodes[near], (graph.nodes + pose.shifts)[None, near])
-        rotations, shifts = pose.rotations.copy(), pose.shifts.copy()
-        rotations[nodes] = rotation
-        shifts[nodes] = graph.nodes[nodes] @ rotation.T + shift - graph.nodes[nodes]
-        return Pose(rotations, shifts)
-
 
 def turn_limbs(shots: Shots, found: Estimate) -> None:
-    """Where pictures contradict a lost limb, change the estimate where they show it turned about its joint.
-
-    A piece that hangs on nothing and flies off is put back beside what is near, if that place is contradicted less.
-    """
+    """Where pictures contradict a lost limb, change the estimate where they show it turned about its joint."""
     graph, lost = shots.graph, found.lost
     limbs = [_Limb(graph, nodes) for nodes in graph.groups(lost) if len(nodes) >= FEWEST_NODES]
     if not limbs or lost.all():
@@ -103,18 +85,15 @@ def turn_limbs(shots: Shots, found: Estimate) -> None:
     surface, hidden = graph.posed(found.pose), graph.points_of(lost)
     views = [view_without(shot, surface, hidden) for shot in shots.all]
     for limb in limbs:
-        now = limb.score(views, found.pose)
-        if now >= CONTRADICTED:
+        if limb.score(views, surface) >= CONTRADICTED:
             continue
-        turned = limb.turned(views, found.pose, lost)
-        best = SHOWN if turned else now
-        guesses = (shots.fit(guess, FARTHER, limb.points) for guess in turned)
-        for guess in guesses if turned else [limb.beside(found.pose, lost)]:
-            pose = found.pose.with_nodes(limb.nodes, guess)
-            if (shown := limb.score(views, pose)) > best:
+        best = SHOWN
+        for turned in limb.turned(views, found.pose, lost):
+            fitted = shots.fit(turned, FARTHER, limb.points)
+            pose = found.pose.with_nodes(limb.nodes, fitted)
+            if (shown := limb.score(views, graph.posed(pose))) > best:
                 best, found.pose = shown, pose
                 found.likeness[limb.nodes] = shots.likeness(pose)[limb.nodes]
-                found.jumped[limb.nodes] = True
     found.see(found.likeness)
 
 

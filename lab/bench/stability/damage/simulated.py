@@ -25,11 +25,13 @@ from devrf.lab.simulate.session.simulate_session import check_simulation
 from devrf.lab.simulate_command import session_code
 from devrf.pipelines.config.scene import SceneConfig
 
-Change = Callable[[SessionOptions, float], dict[str, Any]]
-
 
 def again(
-    change: Change, scene: str | None = None, *, sweep_stays: bool = False, cameras_stay: bool = False
+    change: Callable[[SessionOptions, float], dict[str, Any]],
+    scene: str | None = None,
+    *,
+    sweep_stays: bool = False,
+    cameras_stay: bool = False,
 ) -> Damaging:
     """A damage that simulates the session again.
 
