@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import RIGID_TOLERANCE, Camera
 from devrf.capture.colour.correction import Look
-from devrf.capture.photos.picture_files import read_pixels
+from devrf.capture.photos.picture_files import read_pixels, read_reduced
 from devrf.capture.photos.resize import shrink
 from devrf.capture.system.errors import CaptureError
 
@@ -194,34 +194,29 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
 
     Colours are weighted by alpha while resizing, so that hidden colours do not bleed into edges.
     """
-    image = read_matted(frame, background)
-    height, width = image.shape[:2]
-    if (width, height) != (frame.camera.width, frame.camera.height):
-        calibrated = f"{frame.camera.width}x{frame.camera.height}"
+    camera = frame.camera
+    size = (max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    if frame.matte is not None and background != "shell":
+        image, divisor = read_matted(frame, background), 1
+    else:
+        image, divisor = read_reduced(frame.path, *size)
+        image = _looked(frame, image)
+    height, width = (divisor * side for side in image.shape[:2])
+    if (width, height) != (camera.width, camera.height):
+        calibrated = f"{camera.width}x{camera.height}"
         wrong = f"{frame.path}: picture is {width}x{height}, its calibration is for {calibrated}"
         raise CaptureError("picture-size-wrong", f"{wrong}; calibrate at the size of the pictures")
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if image.shape[2] == 4:
         alpha = image[..., 3:].astype(np.float32) / 255
         behind = np.float32(255) * np.array(plain_colour(background) or PLAIN_COLOURS["white"], np.float32)
         premultiplied = image[..., :3] * alpha + behind * (1 - alpha)
-        image = np.clip(shrink(premultiplied, *size).round(), 0, 255).astype(np.uint8)
-    elif size != (width, height):
-        image = shrink(image, *size)
-    return image
-
-
-def read_corrected(frame: PosedFrame) -> UInt8[np.ndarray, "h w c"]:
-    """The frame's picture at full size, its look applied: RGB, or RGBA where the file has transparency."""
-    image = read_pixels(frame.path)
-    if frame.look is not None:
-        image[..., :3] = frame.look.apply(image[..., :3])
-    return image
+        return np.clip(shrink(premultiplied, *size).round(), 0, 255).astype(np.uint8)
+    return image if image.shape[:2] == size[::-1] else shrink(image, *size)
 
 
 def read_matted(frame: PosedFrame, background: Background) -> UInt8[np.ndarray, "h w c"]:
     """The frame's picture at full size, its look applied; before a plain background its matte is the alpha."""
-    image = read_corrected(frame)
+    image = _looked(frame, read_pixels(frame.path))
     if frame.matte is None or background == "shell":
         return image
     return np.concatenate([image[..., :3], read_matte(frame.matte, image.shape[:2])[..., None]], axis=2)
@@ -249,6 +244,13 @@ def read_matte(path: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w"]:
         wrong = f"{path}: matte is {matte.shape[1]}x{matte.shape[0]}, its picture {size[1]}x{size[0]}"
         raise CaptureError("matte-size-wrong", f"{wrong}; save it at the picture's size")
     return matte
+
+
+def _looked(frame: PosedFrame, image: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "h w c"]:
+    """A frame's picture with its look applied, in place."""
+    if frame.look is not None:
+        image[..., :3] = frame.look.apply(image[..., :3])
+    return image
 
 
 def image_scale_for(width: int, height: int, max_pixels: int) -> float:

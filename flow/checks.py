@@ -43,7 +43,7 @@ class PairChecks:
 
 @dataclass(frozen=True)
 class FlowChecks:
-    """What one clip's flow says about itself, over all its pairs, at full size.
+    """What one clip's flow says about itself, over all its pairs, in pixels of the size at which it was found.
 
     Attributes:
         pairs, gaps: Pairs of frames with flow; pairs without, because frames are missing between them.

@@ -1,7 +1,7 @@
 """The flow of one camera's clip, pair by pair: in parallel, in bounded memory, and resumed where it was stopped.
 
-Flow is computed backward, from each used frame to the one before it, on full-size pictures, and then
-reduced to the size the model is trained at. Across a gap in the clip (dropped frames) there is none: the
+Flow is computed backward, from each used frame to the one before it, on pictures of the size that they are loaded
+at, and then reduced to the size the model is trained at. Across a gap in the clip (dropped frames) there is none: the
 entry is there, and nowhere valid. A clip is one camera's, so no pair ever crosses from one camera to another.
 """
 
@@ -45,7 +45,7 @@ class ClipPictures:
         camera: Name, for files and messages.
         index: Frame numbers [N].
         gap: Between which frames there is no flow [N - 1, the pairs].
-        load: Gives the n-th frame's full-size RGB picture; asked from several threads.
+        load: Gives the n-th frame's RGB picture; asked from several threads.
     """
 
     camera: str

@@ -56,7 +56,7 @@ def measured(
     Args:
         find: Gives the flow.
         n: Number of the frame in its clip, from 1.
-        load: Gives the n-th frame's full-size picture.
+        load: Gives the n-th frame's picture.
         size: (width, height) to reduce to.
         neighbours: Try the flow on other pairs, too: that needs their pictures.
         last: Number of the clip's last frame.

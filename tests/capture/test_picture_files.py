@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 from tests.refused import refused
 
-from devrf.capture.photos.picture_files import damaged_pictures, read_pixels, write_png
+from devrf.capture.photos.picture_files import damaged_pictures, read_pixels, read_reduced, write_png
+from devrf.capture.photos.resize import shrink
 from devrf.capture.system.errors import CaptureError
 
 
@@ -106,3 +107,24 @@ def test_pictures_that_end_early_are_found(tmp_path: Path) -> None:
         path.write_bytes(path.read_bytes()[:-700])
     found = damaged_pictures(paths)
     assert len(found) == 2 and all(str(path) in text for path, text in zip(paths[1:], found, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "divisor"), [((40, 30), 8), ((60, 40), 4), ((150, 100), 2), ((300, 200), 1)]
+)
+def test_a_large_jpeg_is_decoded_smaller_where_that_is_enough(tmp_path, wanted, divisor):
+    coarse = Image.fromarray(noise(16, 20, 3))
+    coarse.resize((800, 640), Image.Resampling.BICUBIC).save(tmp_path / "a.jpg", quality=95)
+    picture, found = read_reduced(tmp_path / "a.jpg", *wanted)
+    assert found == divisor and picture.shape == (640 // divisor, 800 // divisor, 3)
+    exact = shrink(read_pixels(tmp_path / "a.jpg"), *wanted).astype(float)
+    left = np.abs(shrink(picture, *wanted) - exact)
+    assert left.mean() < 2
+
+
+@pytest.mark.parametrize("name", ["a.png", "odd.jpg"])
+def test_other_pictures_and_sides_that_do_not_divide_are_read_whole(tmp_path, name):
+    Image.fromarray(noise(400, 401 if name == "odd.jpg" else 400, 3)).save(tmp_path / name)
+    picture, divisor = read_reduced(tmp_path / name, 40, 40)
+    assert divisor == 1
+    np.testing.assert_array_equal(picture, read_pixels(tmp_path / name))
