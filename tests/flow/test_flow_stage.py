@@ -196,3 +196,25 @@ def test_no_pair_crosses_from_one_camera_to_another(context: StageContext, monke
     flow.run(context)
     forth = seen[::2]  # the other half asks back
     assert forth == [(200 + n, 199 + n) for n in (11, 12)] + [(60 + n, 59 + n) for n in (11, 12, 13, 14)]
+
+
+@pytest.mark.parametrize(("image_scale", "asked"), [(0.5, (80, 128)), (0.25, (60, 96)), (0.1, (24, 38))])
+def test_flow_is_found_at_three_times_the_size_at_most(
+    context: StageContext, monkeypatch, image_scale: float, asked: tuple[int, int]
+):
+    folder = context.run_dir / "scene"
+    write_scene(folder, replace(read_scene(folder), image_scale=image_scale))
+    shapes = set()
+
+    class Watched(Counted):
+        def estimate(self, image0, image1):
+            shapes.add(image0.shape[:2])
+            return super().estimate(image0, image1)
+
+    monkeypatch.setattr(flow, "flow_estimator", lambda *of: Watched(1000))
+    flow.run(context)
+    assert shapes == {asked}
+    stored = read_flows(context.out)["cam0"].flow
+    assert stored.shape[1:3] == (round(80 * image_scale), round(128 * image_scale))
+    inner = stored[:, 2:-2, 2:-2].astype(np.float32)
+    np.testing.assert_allclose(np.median(inner, axis=(0, 1, 2)), [-STEP * image_scale, 0], atol=0.05)
