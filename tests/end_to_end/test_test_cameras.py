@@ -68,6 +68,11 @@ def noise(clip: Path) -> None:
     rewrite(clip, lambda rgb: rng.integers(0, 256, rgb.shape, np.uint8).repeat(2, 0).repeat(2, 1), every=2)
 
 
+def larger(clip: Path) -> None:
+    """What it filmed, twice as wide and high: it keeps its place, and is the largest of all."""
+    rewrite(clip, lambda rgb: rgb.repeat(2, 0).repeat(2, 1))
+
+
 def black(clip: Path) -> None:
     """Nothing but black."""
     rewrite(clip, np.zeros_like)
@@ -136,7 +141,7 @@ def other_with(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Ca
     return functools.cache(lambda clip: session.with_clip(clip, tmp_path_factory.mktemp("other") / "session"))
 
 
-@pytest.mark.parametrize("clip", [noise, pytest.param(black, marks=pytest.mark.full)])
+@pytest.mark.parametrize("clip", [noise, *(pytest.param(x, marks=pytest.mark.full) for x in (black, larger))])
 def test_a_witness_changes_nothing_up_to_the_scene(
     session: Session, other_with: Callable[..., Session], clip: Callable[[Path], None]
 ) -> None:

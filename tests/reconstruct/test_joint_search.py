@@ -116,6 +116,19 @@ def test_a_limb_that_no_picture_shows_is_not_put_anywhere(arm: tuple[Graph, np.n
     assert not found.pose.shifts.any()
 
 
+def test_half_of_a_ball_does_not_turn_about_the_other_half() -> None:
+    n = np.arange(900)  # evenly on a sphere, red on one side of a seam and green on the other
+    up, around = 1 - 2 * (n + 0.5) / len(n), 2.39996 * n
+    normals = np.column_stack([np.cos(around) * np.sqrt(1 - up**2), np.sin(around) * np.sqrt(1 - up**2), up])
+    rgb = np.where(normals[:, 1:2] > 0, [0.9, 0.2, 0.2], [0.2, 0.9, 0.2])
+    graph = Graph(SurfacePoints(0.3 * normals, normals, rgb, SPACING))
+    turn = Rotation.from_rotvec([0.0, 0.0, 2.0]).as_matrix()
+    true = replace(graph.surface, xyz=graph.surface.xyz @ turn.T, normals=normals @ turn.T)
+    shots, found = estimate(graph, filmed(graph.surface, true), graph.nodes[:, 0] > 0)
+    turn_limbs(shots, found)
+    assert not found.pose.shifts.any()
+
+
 def test_scores_tell_a_limb_from_what_stands(arm: tuple[Graph, np.ndarray]) -> None:
     graph, forearm = arm
     true, surface = turned(graph.surface, forearm), graph.surface

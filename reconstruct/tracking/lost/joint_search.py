@@ -56,10 +56,21 @@ class _Limb:
         there = surface.only(self.looked_at)
         return float(score(views, there.xyz[None], there.normals[None], self.rgb)[0])
 
+    def joint(self, lost: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+        """Nodes beside it that are not lost, if it is longer than these lie apart: what is as wide as long, half of a
+        ball, does not turn about the rest. None of something by itself."""
+        nodes, (a, b) = self.graph.nodes, self.graph.edges.T
+        holds = np.unique(b[self.mine[a] & ~lost[b]])
+        if not len(holds):
+            return holds
+        length, reach = (
+            np.linalg.norm(nodes[of] - nodes[holds].mean(0), axis=1).max() for of in (self.nodes, holds)
+        )
+        return holds if length > 2 * reach else holds[:0]
+
     def turned(self, views: list[ViewWithout], pose: Pose, lost: Bool[np.ndarray, " n"]) -> list[Pose]:
         """Poses with the limb as at rest, but turned about its joint, the likeliest first; none if it has no joint."""
-        graph, (a, b) = self.graph, self.graph.edges.T
-        holds = np.unique(b[self.mine[a] & ~lost[b]])
+        graph, holds = self.graph, self.joint(lost)
         if not len(holds):
             return []
         rest = graph.nodes[holds].mean(0)
