@@ -22,6 +22,7 @@ import yaml
 from tests.end_to_end.small_session import WITNESS, write_small_session
 from tests.make.clips import film
 
+from devrf.capture.formats import read_scene
 from devrf.capture.photos.picture_files import read_pixels
 
 SMALLER = {"canonical_iterations": 40, "motion_iterations": 8, "rays": 512, "resolution": 40}
@@ -192,5 +193,8 @@ def test_what_is_held_out_of_the_sweep_is_in_structure_from_motion_alone(
             shape = read_pixels(path).shape
             cv2.imwrite(str(path), np.random.default_rng(n).integers(0, 256, shape, np.uint8))
     other.run("deformation", "--from", "sync")
+    scene = read_scene(run / "scene")
+    assert scene.points is not None and "test" in {frame.split for frame in scene.static}
+    assert {scene.static[n].split for n in scene.points.obs_frame} == {"train"}
     for file in ("scene/scene.json", "canonical/model.safetensors", "deformation/model.safetensors"):
         assert (run / file).read_bytes() == (true / file).read_bytes(), file

@@ -167,6 +167,17 @@ def test_surroundings_reach_as_far_as_the_points(ball) -> None:
     assert contraction() == nobody_knows == Contraction(FARTHEST_REACH, REACH)
 
 
+def test_a_test_camera_farther_away_changes_no_reach(ball) -> None:
+    away = np.eye(4)
+    away[:3, 3] = 50.0
+    far = replace(ball.scene.static[0], camera=ball.scene.static[0].camera.moved(away), split="test")
+    with_it = replace(ball.scene, points=None, dynamic=(*ball.scene.dynamic, far))
+    xyz, none = np.zeros((1, 3)), np.zeros(0, np.int64)
+    for points in (None, SparsePoints(xyz, none, none)):
+        of = [contraction_of(replace(scene, points=points)) for scene in (ball.scene, with_it)]
+        assert of[0] == of[1]
+
+
 def test_hull_contains_the_ball_and_little_else(ball) -> None:
     scene = ball.scene
     aabb = torch.tensor(scene.aabb, dtype=torch.float32)

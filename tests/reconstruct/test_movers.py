@@ -446,6 +446,15 @@ def test_training_together_gains_over_nothing_moves(session: Scene, rest: RestMo
     assert trained.movers.shading is not None and not trained.movers.shading.grid.requires_grad
 
 
+def test_pictures_of_a_test_camera_are_not_among_those_that_movers_learn_from(
+    session: Scene, rest: RestModel
+) -> None:
+    tested = session.dynamic[0].camera_name
+    dynamic = [replace(f, split="test") if f.camera_name == tested else f for f in session.dynamic]
+    frames = MovingPictures(replace(session, dynamic=tuple(dynamic)), rest, "cpu").rays.frames
+    assert frames and tested not in {frame.camera_name for frame in frames}
+
+
 @pytest.mark.parametrize(
     ("seconds", "iterations", "keys"), [(2.0, 30, 14), (3.0, 30, 14), (12.0, 120, 53), (600.0, 240, 105)]
 )
