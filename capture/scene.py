@@ -194,8 +194,8 @@ def load_image(frame: PosedFrame, scale: float, background: Background) -> UInt8
 
     Colours are weighted by alpha while resizing, so that hidden colours do not bleed into edges.
     """
-    camera = frame.camera
-    size = (max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    camera, small = frame.camera, frame.camera.scaled(scale)
+    size = small.width, small.height
     if frame.matte is not None and background != "shell":
         image, divisor = read_matted(frame, background), 1
     else:

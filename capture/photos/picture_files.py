@@ -34,7 +34,9 @@ UNREAD_STARTS = (  # place and bytes by which pictures that are not read are kno
     (4, b"JXL ", "a JPEG XL photo"),
     (4, b"jP  ", "a JPEG 2000 photo"),
 )
-SPARE = 2  # a picture decoded at so many times the size at which it is used and then shrunk differs by a level or two
+# Times the size at which a picture is used that it is decoded at, at least: shrunk, it is then 43 to 56 dB from one
+# that was decoded whole, a level or two in the mean.
+SPARE = 2
 PNG_LEVEL = 1  # against the default 6: 128 and 466 ms, 717 and 639 kB for a photo of 540 x 960
 
 
@@ -87,7 +89,7 @@ def read_reduced(
 ) -> tuple[UInt8[np.ndarray, "height width channels"], int]:
     """The same for use at a smaller size: a JPEG that is much larger is decoded at a half, a quarter or an eighth.
 
-    Its blocks' low frequencies are enough for that; of a 4K picture it takes a sixth of the time.
+    Its blocks' low frequencies are enough for that; a quarter of a picture of 3840 x 2160 takes 12 instead of 76 ms.
 
     Args:
         path: The file.
@@ -96,13 +98,11 @@ def read_reduced(
         The picture, and by what its sides are divided.
     """
     with open_picture(path) as image:
-        divisor = next(
-            n for n in (8, 4, 2, 1) if n == 1 or _divides(n, image.size, (SPARE * width, SPARE * height))
-        )
-        if divisor > 1 and image.format == "JPEG":
+        least = SPARE * width, SPARE * height
+        fine = (n for n in (8, 4, 2) if image.format == "JPEG" and _divides(n, image.size, least))
+        divisor = next(fine, 1)
+        if divisor > 1:
             image.draft(None, (image.width // divisor, image.height // divisor))
-        else:
-            divisor = 1
         return as_srgb(_stored(path, image), photo_space(image)), divisor
 
 

@@ -31,7 +31,7 @@ from devrf.pipelines.stamps.stamp import identity_key
 UNFINISHED = ".flow"  # in the run folder
 MADE_OF = "made_of"  # in it: what its pairs belong to
 # Times the size of training at which flow is found, unless pictures are smaller: it is stored at the size of training,
-# and of a 4K picture finer flow costs 14 times as much.
+# and a pair of 2880 x 2160 pictures takes 3.4 s whole and 0.6 s so.
 FINER = 3
 
 
@@ -42,10 +42,9 @@ def run(context: StageContext) -> None:
     brought = is_brought(clips)
     estimator = None if brought else flow_estimator(context.config, context.scene_dir, context.device)
     scale = min(1.0, FINER * scene.image_scale) if estimator is not None else 1.0
-    cameras = [frame.camera.scaled(scale) for frames in clips.values() for frame in frames]
-    pixels = max(camera.width * camera.height for camera in cameras)
+    whole = max(frame.camera.width * frame.camera.height for frames in clips.values() for frame in frames)
     side_by_side = estimator is None or estimator.parallel
-    at_once = flow_at_once(context, pixels) if side_by_side else 1
+    at_once = flow_at_once(context, round(scale**2 * whole)) if side_by_side else 1
     unfinished = _unfinished(context)
     checks: dict[str, FlowChecks] = {}
     for n, (camera, frames) in enumerate(clips.items()):

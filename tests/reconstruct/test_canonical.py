@@ -171,9 +171,9 @@ def test_a_test_camera_farther_away_changes_no_reach(ball) -> None:
     away = np.eye(4)
     away[:3, 3] = 50.0
     far = replace(ball.scene.static[0], camera=ball.scene.static[0].camera.moved(away), split="test")
-    with_it = replace(ball.scene, points=None, dynamic=(*ball.scene.dynamic, far))
-    xyz, none = np.zeros((1, 3)), np.zeros(0, np.int64)
-    for points in (None, SparsePoints(xyz, none, none)):
+    with_it = replace(ball.scene, dynamic=(*ball.scene.dynamic, far))
+    none = np.zeros(0, np.int64)
+    for points in (None, SparsePoints(np.zeros((1, 3)), none, none)):
         of = [contraction_of(replace(scene, points=points)) for scene in (ball.scene, with_it)]
         assert of[0] == of[1]
 

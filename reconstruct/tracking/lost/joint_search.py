@@ -63,10 +63,9 @@ class _Limb:
         holds = np.unique(b[self.mine[a] & ~lost[b]])
         if not len(holds):
             return holds
-        length, reach = (
-            np.linalg.norm(nodes[of] - nodes[holds].mean(0), axis=1).max() for of in (self.nodes, holds)
-        )
-        return holds if length > 2 * reach else holds[:0]
+        centre = nodes[holds].mean(0)
+        length, radius = (np.linalg.norm(nodes[of] - centre, axis=1).max() for of in (self.nodes, holds))
+        return holds if length > 2 * radius else holds[:0]
 
     def turned(self, views: list[ViewWithout], pose: Pose, lost: Bool[np.ndarray, " n"]) -> list[Pose]:
         """Poses with the limb as at rest, but turned about its joint, the likeliest first; none if it has no joint."""
