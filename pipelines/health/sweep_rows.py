@@ -24,6 +24,7 @@ MOVING_SHARE = 0.1  # of a picture's textured tiles
 OBLONG = 2.0  # percent by which focal lengths across and down differ beyond what the file says
 CROPS = 0.95  # of the residuals, with principal points of their own: captures 0.978 to 0.996, stabilised 0.67 to 0.90
 CROP_MOVES, CROP_GONE = 0.5, 3.0  # percent of the width: named, refused
+ZOOM_SAYS_MORE = 1.5  # of what own principal points take off: zooms 1.9 to 3.4, stabilised films at most 1.1
 FOLLOWS = ("sweep-registered", "sweep-points", "sweep-in-parts", "sweep-contradicts")
 ZOOMS_APART = 0.05  # relative; a lens breathes by 1 to 3 % when it focuses
 ZOOMED = 0.1  # relative: poses by one focal length are wrong
@@ -50,8 +51,9 @@ def sweep_measures(
     fits = picture_fits(model)
     adjustment = model.report["adjustment"] or {}
     zoom, crops = adjustment.get("zoom"), adjustment.get("crops")
-    by_zoom = zoom["error"] if zoom is not None else 1.0
-    moved = 100 * crops["apart"] if crops is not None and crops["error"] < min(CROPS, by_zoom) else 0.0
+    taken_off = 1 - crops["error"] if crops is not None else 0.0
+    zoomed = zoom is not None and 1 - zoom["error"] > ZOOM_SAYS_MORE * taken_off
+    moved = 100 * crops["apart"] if crops is not None and crops["error"] < CROPS and not zoomed else 0.0
     no_lens = moved > CROP_MOVES or max(oblong(c, pixel_aspect) for c in model.cameras) > OBLONG / 100
     for measure in (*_registered(model.report), *_pairs(model.report)):
         follows = no_lens and measure.code in FOLLOWS and measure.why != "left"

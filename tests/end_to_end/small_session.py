@@ -8,6 +8,7 @@ import av
 import yaml
 
 from devrf.capture.photos.picture_files import write_png
+from devrf.capture.video.video_writer import X264
 
 SHEET = Path(__file__).resolve().parents[1] / "sheet"
 CAMERAS = ("cam0", "cam2")
@@ -50,7 +51,7 @@ def write_small_session(folder: Path) -> Path:
 def _write_clip(source: Path, target: Path) -> None:
     """Every second picture of a clip, its sound as it is."""
     with av.open(str(source)) as whole, av.open(str(target), "w") as part:
-        video = part.add_stream("libx264", rate=8, options={"crf": "14"})
+        video = part.add_stream("libx264", rate=8, options={**X264, "crf": "14"})
         sound = part.add_stream_from_template(whole.streams.audio[0])
         video.width, video.height = whole.streams.video[0].width, whole.streams.video[0].height
         video.time_base = video.codec_context.time_base = Fraction(1, 90_000)

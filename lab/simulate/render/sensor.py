@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from devrf.capture.camera import Camera
+from devrf.capture.video.video_writer import X264
 from devrf.lab.simulate.render.mitsuba import linear_to_srgb, srgb_to_linear
 from devrf.lab.simulate.render.renderer import ideal_coordinates
 
@@ -153,7 +154,7 @@ class ClipWriter:
         self._video: Any = self._container.add_stream("libx264", rate=rate)
         self._video.width, self._video.height = size
         self._video.pix_fmt = "yuv420p"
-        self._video.options = {"crf": str(crf), "preset": "medium"}
+        self._video.options = {**X264, "crf": str(crf)}
         self._video.codec_context.time_base = VIDEO_TIME_BASE
         self._video.time_base = VIDEO_TIME_BASE
         self._video.codec_context.color_range = 1  # limited
