@@ -79,12 +79,19 @@ def black(clip: Path) -> None:
     rewrite(clip, np.zeros_like)
 
 
-def rewrite(clip: Path, shown: Callable[[np.ndarray], np.ndarray], every: int = 1) -> None:
+def short(clip: Path) -> None:
+    """Its first pictures: nothing of it lies in the span that is asked for."""
+    rewrite(clip, lambda rgb: rgb, most=2)
+
+
+def rewrite(
+    clip: Path, shown: Callable[[np.ndarray], np.ndarray], every: int = 1, most: int | None = None
+) -> None:
     """The clip with other pictures, and without its sound."""
     before = clip.with_suffix(".before.mp4")
     clip.rename(before)
     with av.open(str(before)) as whole:
-        frames = list(whole.decode(video=0))[::every]
+        frames = list(whole.decode(video=0))[:most:every]
     pictures = [shown(frame.to_ndarray(format="rgb24")) for frame in frames]
     film(clip, pictures, rate=8, times_s=[frame.time for frame in frames], crf="20")
     before.unlink()
@@ -150,6 +157,18 @@ def test_a_witness_changes_nothing_up_to_the_scene(
     true = files_of(session.run("scene", *by_size), "scene")
     assert "scene/scene.json" in true and any(name.startswith("ingest/frames/cam2/") for name in true)
     assert_alike(true, files_of(other_with(clip).run("scene", *by_size), "scene"))
+
+
+@pytest.mark.full
+def test_a_witness_changes_nothing_in_a_span_in_which_it_films_nothing(
+    session: Session, other_with: Callable[..., Session]
+) -> None:
+    span = ("--set", "capture.range_s=[0.3, 1.9]")
+    true = files_of(session.run("scene", *span), "scene")
+    other = other_with(short).run("scene", *span)
+    assert_alike(true, files_of(other, "scene"))
+    frames = json.loads((other / "scene" / "dynamic" / "transforms.json").read_text())["frames"]
+    assert {frame["camera"] for frame in frames} == {"cam0", "cam2"}
 
 
 @pytest.mark.full
