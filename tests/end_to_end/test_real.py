@@ -155,6 +155,36 @@ def test_webcams_measure_the_board_and_the_late_clock_is_named(webcams: tuple[Pa
     assert {(link["a"], link["b"]) for link in rig["graph"]} >= {("cam0", "cam1"), ("cam2", "cam3")}
 
 
+def test_a_webcam_that_is_a_test_camera_moves_no_other(
+    webcams: tuple[Path, str], devrf: Callable, data_dir: Path, tmp_path: Path
+) -> None:
+    """Without a sweep it is placed by the board, in the rig of those that are trained on."""
+    rigs = {}
+    for kind in ("as test camera", "without"):
+        (tmp_path / kind).mkdir()
+        scene = caliscope(tmp_path / kind, data_dir)
+        content = yaml.safe_load(scene.read_text())
+        capture = content["capture"]
+        clips = capture["board"]["joint_clips"]
+        capture["cameras"] = {name: clip for name, clip in clips.items() if name != "cam3"}
+        if kind == "without":
+            capture["board"]["joint_clips"] = capture["cameras"]
+        else:
+            capture["test_cameras"] = {"cam3": clips["cam3"]}
+        scene.write_text(yaml.safe_dump(content))
+        assert devrf("run", scene, "--until", "rig", "--allow-unhealthy").code == 0
+        rigs[kind] = read(tmp_path / kind / "run" / "rig" / "rig.json")
+    placed = rigs["as test camera"]["cameras"].pop("cam3")
+    assert rigs["as test camera"]["cameras"] == rigs["without"]["cameras"]
+    together = read(webcams[0] / "rig" / "rig.json")["cameras"]
+    found = {**rigs["without"]["cameras"], "cam3": placed}
+    theirs, ours = (
+        np.array([np.array(cameras[name]["cam_from_world"])[:3, :3].T for name in sorted(found)])
+        for cameras in (together, found)
+    )
+    assert rotation_errors_deg(ours, theirs).max() < 1.0
+
+
 def test_webcams_clocks_come_from_the_table(webcams: tuple[Path, str]) -> None:
     sync = read(webcams[0] / "sync/sync.json")
     assert {camera["method"] for camera in sync["cameras"].values()} == {"timestamps"}
