@@ -254,7 +254,8 @@ def test_silent_clips_in_which_nothing_moves_have_no_clock(tmp_path: Path, textu
     cameras = {}
     for name in ("cam0", "cam1"):
         cameras[name] = tmp_path / f"{name}.mp4"
-        write_video(cameras[name], [picture] * 25, 25.0, {"qp": "0"})  # or what it improves would move in both
+        lossless = {"qp": "0"}  # or what the encoder improves would move in both
+        write_video(cameras[name], [picture] * 25, 25.0, lossless)
     moving = {n: planned_frames(look_at(path, 3), "camera", path.name) for n, path in cameras.items()}
     clips = {name: path.name for name, path in cameras.items()}
     config = SceneConfig.model_validate({"name": "x", "capture": {"static": "s.mp4", "cameras": clips}})
