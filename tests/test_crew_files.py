@@ -90,7 +90,7 @@ def test_clips_that_ask_to_be_mirrored(crew_files: Path, tmp_path: Path, kind: s
 
 def cut_out(kind: str, n: int, picture: np.ndarray) -> np.ndarray:
     """560x314 of picture n of a sweep of 640x360, as a phone hands it on that stabilises, or zooms in picture 36."""
-    x, y = (36 * np.sin(0.5 * n), 20 * np.cos(0.7 * n)) if kind == "stabilised" else (0.0, 0.0)
+    x, y = (36 * np.sin(0.9 * n), 20 * np.cos(1.3 * n)) if kind == "stabilised" else (0.0, 0.0)
     zoom = 1.15 if kind == "zoomed" and n >= 36 else 1.0
     around = cv2.getRotationMatrix2D((320 + x, 180 + y), 0.0, zoom)
     around[:, 2] += [280 - 320 - x, 157 - 180 - y]
@@ -99,17 +99,17 @@ def cut_out(kind: str, n: int, picture: np.ndarray) -> np.ndarray:
 
 @pytest.mark.full
 @pytest.mark.parametrize(
-    ("kind", "count", "about", "named"),
+    ("kind", "every", "about", "named"),
     [
-        ("stabilised", 44, "from picture to picture", "tabilisation"),
-        ("zoomed", 72, "one for all pictures", "000036"),
+        ("stabilised", 2, "from picture to picture", "tabilisation"),
+        ("zoomed", 1, "one for all pictures", "000036"),
     ],
 )
 def test_sweeps_whose_lens_is_elsewhere_in_each_picture(
-    data_dir: Path, tmp_path: Path, devrf: Command, kind: str, count: int, about: str, named: str
+    data_dir: Path, tmp_path: Path, devrf: Command, kind: str, every: int, about: str, named: str
 ) -> None:
     with VideoReader(data_dir / "kuka_room" / "static.mp4") as reader:
-        shown = itertools.islice(reader, count)
+        shown = itertools.islice(reader, 0, None, every)
         pictures = [cut_out(kind, n, frame.rgb) for n, frame in enumerate(shown)]
     write_video(tmp_path / "sweep.mp4", pictures, 30.0)
     scene = tmp_path / "scene.yaml"
