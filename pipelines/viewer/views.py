@@ -17,6 +17,7 @@ from devrf.reconstruct.geometry.paths import orbit
 # right before a place from which nobody looked all that is modelled is fog.
 BACK = (1.15, 1.07, 1.0)
 BETWEEN = 0.5  # of the distance to the box's middle
+SAME = 1e-4  # pages round what they say of themselves; of a distance, and of a quaternion's product
 
 
 def first_camera(scene: Scene) -> Camera:
@@ -64,6 +65,14 @@ def follow(page: viser.CameraHandle, leader: viser.CameraHandle) -> None:
     """Let a page look from where another one does."""
     page.fov, page.position, page.look_at = leader.fov, leader.position, leader.look_at
     page.up_direction, page.wxyz = leader.up_direction, leader.wxyz
+
+
+def apart(page: viser.CameraHandle, other: viser.CameraHandle) -> bool:
+    """Whether two pages look from elsewhere, or into another direction."""
+    return not (
+        np.allclose(page.position, other.position, atol=SAME)
+        and np.allclose(np.abs(page.wxyz @ other.wxyz), 1, atol=SAME)
+    )
 
 
 def middle(picture: np.ndarray, share: float) -> np.ndarray:

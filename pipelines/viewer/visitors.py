@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 
 import viser
 
-from devrf.pipelines.viewer.views import follow
+from devrf.pipelines.viewer.views import apart, follow
 
 LEAD_S = 1.0  # for which a page that was moved has the view: the others say where they are with some delay
 
@@ -36,9 +36,13 @@ class Visitors:
         self.server.get_event_loop().call_soon_threadsafe(turned)
 
     def lead(self, client: viser.ClientHandle) -> bool:
-        """Let the others follow a page that says that it was moved; False: another one leads."""
-        now = time.monotonic()
-        if self.leading() is not client and now - self._led < LEAD_S:
+        """Let the others follow a page that says that it was moved; False: another one leads, and it is led back."""
+        now, leader = time.monotonic(), self.leading()
+        if leader is not None and leader is not client and now - self._led < LEAD_S:
+            if apart(
+                client.camera, leader.camera
+            ):  # what it said of itself came between: it would stay there
+                self.turn([client], lambda page: follow(page, leader.camera))
             return False
         self.leader, self._led = client, now
         others = [page for page in self.server.get_clients().values() if page is not client]
