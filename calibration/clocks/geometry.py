@@ -49,6 +49,7 @@ class PairCheck:
         offset_s: Where the error is smallest: what the second camera's times must be raised by.
         std_s: Its standard deviation.
         sharp: Whether the minimum is known to half a frame.
+        shifted: Whether it is not 0, as of a correction.
         lags_s, values: The curve [n]: mean error, pixels (tracks), or correlation (planes).
     """
 
@@ -58,6 +59,7 @@ class PairCheck:
     offset_s: float
     std_s: float
     sharp: bool
+    shifted: bool
     lags_s: Float[np.ndarray, " n"]
     values: Float[np.ndarray, " n"]
 
@@ -128,7 +130,9 @@ def check_clocks(
 
 
 def _heard_surely(clock: Clock) -> bool:
-    return clock.method == "reference" or (clock.method == "audio" and clock.std_s <= SURE_S)
+    return clock.method == "reference" or (
+        clock.method == "audio" and clock.std_s <= SURE_S and not _guessed(clock)
+    )
 
 
 def _once_each(names: Sequence[str], known: Collection[str]) -> list[tuple[str, str]]:
@@ -276,7 +280,10 @@ class _Work:
         if found is None or not accepted(found):
             return None
         sharp = found.std_s <= 2 * FLAT_FRAMES * self.step_s(a, b)  # half a frame is its floor
-        return PairCheck(a, b, "planes", found.delay_s, found.std_s, sharp, found.lags_s, found.values)
+        shifted = _shifted(found.delay_s, found.std_s, self.step_s(a, b))
+        return PairCheck(
+            a, b, "planes", found.delay_s, found.std_s, sharp, shifted, found.lags_s, found.values
+        )
 
     def wide_search(self, a: str, b: str, planes: PairCheck | None, unsure_s: float) -> PairCheck | None:
         """By tracks near what the clocks say, and near what the planes say where that is elsewhere."""
@@ -302,7 +309,10 @@ class _Work:
         if found is None:
             return None
         sharp = found.std_s <= FLAT_FRAMES * self.step_s(a, b)
-        return PairCheck(a, b, "tracks", found.delay_s, found.std_s, sharp, found.lags_s, found.error_px)
+        shifted = _shifted(found.delay_s, found.std_s, self.step_s(a, b))
+        return PairCheck(
+            a, b, "tracks", found.delay_s, found.std_s, sharp, shifted, found.lags_s, found.error_px
+        )
 
     def _moments_s(self, count: int, margin_s: float) -> list[float]:
         """Times that share out evenly what moves in all cameras; the same for all, so that points are found once."""
@@ -345,5 +355,8 @@ def _solve(
 
 
 def _correction(offset_s: float, std_s: float, step_s: float) -> ClockCorrection:
-    limit_s = max(SHIFT_FRAMES * step_s, SHIFT_SIGMAS * std_s)
-    return ClockCorrection(offset_s, std_s, std_s <= FLAT_FRAMES * step_s, abs(offset_s) > limit_s)
+    return ClockCorrection(offset_s, std_s, std_s <= FLAT_FRAMES * step_s, _shifted(offset_s, std_s, step_s))
+
+
+def _shifted(offset_s: float, std_s: float, step_s: float) -> bool:
+    return abs(offset_s) > max(SHIFT_FRAMES * step_s, SHIFT_SIGMAS * std_s)

@@ -49,17 +49,21 @@ def clocks_in_use(run_dir: Path) -> dict[str, Clock]:
 def sure_clocks(run_dir: Path) -> frozenset[str]:
     """Training cameras whose times sound and the geometry of what moves agree on, each to `SURE_S`.
 
-    With them the one whose clock it is.
+    Geometry must agree with sound between a camera and another one that sound knows: the two would have to lag alike.
     """
     checked = read_object(run_dir / "scene" / "clock_check.json")
     clocks = _clocks(checked.get("cameras", {}))
+    heard = {n for n, clock in clocks.items() if _heard(clock)}
 
-    def agreed(name: str, correction: Mapping[str, Any]) -> bool:
-        heard = clocks[name].method == "audio" and clocks[name].std_s <= SURE_S
-        return heard and correction["sharp"] and not correction["shifted"] and correction["std_s"] <= SURE_S
+    def agree(pair: Mapping[str, Any]) -> bool:
+        return pair["sharp"] and not pair["shifted"] and pair["std_s"] <= SURE_S
 
-    sure = {name for name, seen in checked.get("corrections", {}).items() if agreed(name, seen)}
-    return frozenset(sure | {name for name, clock in clocks.items() if sure and clock.method == "reference"})
+    pairs = [{pair["first"], pair["second"]} for pair in checked.get("pairs", ()) if agree(pair)]
+    return frozenset[str]().union(*(pair for pair in pairs if pair <= heard))
+
+
+def _heard(clock: Clock) -> bool:
+    return clock.method == "reference" or (clock.method == "audio" and clock.std_s <= SURE_S)
 
 
 def read_contradictions(run_dir: Path) -> dict[str | None, float | None]:

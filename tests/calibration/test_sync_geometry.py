@@ -169,7 +169,8 @@ def given_pairs(
             if (a, b) not in found:
                 return None
             apart_s, std_s = found[a, b]
-            return PairCheck(a, b, "planes", apart_s, std_s, std_s < 0.02, np.zeros(1), np.zeros(1))
+            shifted = abs(apart_s) > max(0.01, 3 * std_s)
+            return PairCheck(a, b, "planes", apart_s, std_s, std_s < 0.02, shifted, np.zeros(1), np.zeros(1))
 
         def wide_search(self, *asked):
             return None
@@ -242,6 +243,7 @@ PAIRS_OF_FOUR = [(f"cam{a}", f"cam{b}") for a in range(4) for b in range(a + 1, 
         ({"method": "motion"}, 6),
         ({"late": 0.2}, 6),
         ({"vague": True}, 6),
+        ({"confidence": 0.49}, 6),  # a peak of sound that is not trusted
     ],
 )
 def test_where_sound_is_sure_each_camera_is_compared_with_one_other(
@@ -250,7 +252,9 @@ def test_where_sound_is_sure_each_camera_is_compared_with_one_other(
     """All pairs are compared where something is not sure: sound, its contradictions, or what two pairs say."""
     late = change.get("late", 0.0)
     found = {(a, b): (late * (b == "cam3"), 0.1 if change.get("vague") else 0.001) for a, b in PAIRS_OF_FOUR}
-    heard = Clock(0.2, 0.0, change.get("std_s", 1e-4), change.get("method", "audio"), 0.9, "")
+    heard = Clock(
+        0.2, 0.0, change.get("std_s", 1e-4), change.get("method", "audio"), change.get("confidence", 0.9), ""
+    )
     clocks = dict.fromkeys(["cam1", "cam2", "cam3"], heard)
     clocks = {"cam0": Clock(0.0, 0.0, 0.0, "reference", 1.0, ""), **clocks}
     check = given_pairs(monkeypatch, found)(clocks, loop_s=change.get("loop_s", 1e-4))

@@ -33,7 +33,7 @@ def test_only_clocks_that_are_not_known_are_learned(
     assert unknown_test_clocks(odd_scene, clocks) == unknown
 
 
-SEEN = {"offset_s": 4e-4, "std_s": 2e-3, "sharp": True, "shifted": False}
+SEEN = {"first": "cam0", "second": "cam1", "std_s": 2e-3, "sharp": True, "shifted": False}
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,7 @@ SEEN = {"offset_s": 4e-4, "std_s": 2e-3, "sharp": True, "shifted": False}
         (Clock(0.1, 0.0, 1e-4, "audio"), {"std_s": 8e-3}, False),
         (Clock(0.1, 0.0, 1e-4, "audio"), {"sharp": False}, False),
         (Clock(0.1, 0.0, 1e-4, "audio"), {"shifted": True}, False),  # sound lags behind its pictures
+        (Clock(0.1, 0.0, 1e-4, "audio"), {"first": "cam2"}, False),  # beside one of which nothing is known
     ],
 )
 def test_clocks_are_sure_where_sound_and_geometry_agree(
@@ -58,7 +59,7 @@ def test_clocks_are_sure_where_sound_and_geometry_agree(
     }
     checked = {
         "cameras": {name: clock_dict(c) for name, c in clocks.items()},
-        "corrections": {"cam1": SEEN | seen},
+        "pairs": [SEEN | seen, SEEN | {"second": "cam2"}],
     }
     (tmp_path / "scene").mkdir()
     (tmp_path / "scene" / "clock_check.json").write_text(json.dumps(checked))
