@@ -83,7 +83,7 @@ def follow_both_ways(
         graph: Of points that move.
         films: With what stands in them.
         rest_time: In [0, 1].
-        progress: Told how much is done, of each time.
+        progress: Told how much is done.
         checkpoint: Where to keep the state between two moments, and to take it up from.
         log: Counts the seconds, those before it was killed too.
     Raises:
@@ -93,12 +93,12 @@ def follow_both_ways(
     gap = float(times[1] - times[0]) if len(times) > 1 else 1.0
     runs = Runs(checkpoint, len(graph.surface), log or TrainingLog("cpu", 1))
     task = _Task(graph, films, times, before, progress, runs)
-    every = [task.both_ways(np.zeros(len(films)), "as said")]
+    every = [task.both_ways(np.zeros(len(films)), 0)]
     while len(every) <= MOST_AGAIN:
         offsets = _but_sure_ones(offsets_to_follow([one.seen for one in every], gap), films)
         if np.abs(offsets - every[-1].tracks.offsets).max() < SETTLED * gap or not offsets.any():
             break
-        every.append(task.both_ways(offsets, f"{len(every)} times again"))
+        every.append(task.both_ways(offsets, len(every)))
     runs.write()
     as_said, last = every[0], every[-1]
     if last is as_said:
@@ -121,17 +121,18 @@ class _Task:
     progress: Callable[[float], object]
     runs: Runs
 
-    def both_ways(self, offsets: Float[np.ndarray, " c"], name: str) -> _Following:
-        """From the moment of rest to the last and to the first; the two runs have a common name."""
-        there = self._one_way(1, offsets, f"{name}, forward")
-        here = self._one_way(-1, offsets, f"{name}, back")
+    def both_ways(self, offsets: Float[np.ndarray, " c"], again: int) -> _Following:
+        """From the moment of rest to the last and to the first; for how many times again."""
+        name = f"{again} times again" if again else "as said"
+        there = self._one_way(1, offsets, f"{name}, forward", again)
+        here = self._one_way(-1, offsets, f"{name}, back", again)
         xyz = np.stack([x.astype(np.float32) for x in (*here.past.xyz[:0:-1], *there.past.xyz)])
         lost = np.stack([self.graph.points_of(x) for x in (*here.past.lost[:0:-1], *there.past.lost)])
         seen = {1: there.offsets, -1: here.offsets}
         left_out = here.left_out.with_those_of(there.left_out)
         return _Following(SurfaceTracks(self.times, xyz, lost, offsets), seen, left_out)
 
-    def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], run: str) -> Follower:
+    def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], run: str, again: int) -> Follower:
         """To the last moment, or with a negative sign to the first."""
         films, times, done = self.films, self.times[self.before :], 0
         if sign < 0:
@@ -148,8 +149,14 @@ class _Task:
                 if moment == follower.past.coming:
                     follower.go_on()
                     self.runs.moved_on(run, len(times) - 1 - moment, follower.state)
-                self.progress((done + moment) / max(len(self.times) - 1, 1))
+                self._tell((done + moment) / max(len(self.times) - 1, 1), again)
         return follower
+
+    def _tell(self, share: float, again: int) -> None:
+        """How much is done; where clocks may be moved, half of what is left each time, since more may follow."""
+        if not all(film.sure for film in self.films):
+            share = 1 - 0.5**again * (1 - 0.5 * share)
+        self.progress(share)
 
 
 def _but_sure_ones(offsets: Float[np.ndarray, " c"], films: Sequence[CameraFilm]) -> Float[np.ndarray, " c"]:

@@ -215,7 +215,9 @@ def test_a_clock_that_is_wrong_by_more_than_a_picture_is_found(tmp_path: Path) -
     still, late = 3, 1.4 * GAP
     films = filmed(tmp_path, 0.5 + 0.8 * GAP * np.maximum(0, np.arange(14) - still))
     wrong = [replace(films[0], times=films[0].times - late), *films[1:]]
-    found, (decision,) = follow_both_ways(Graph(surface), wrong, GAP)
+    told: list[float] = []
+    found, (decision,) = follow_both_ways(Graph(surface), wrong, GAP, told.append)
+    assert told == sorted(told) and told[-1] > 0.7  # though everything was followed again
     assert str(decision).startswith("clocks: left +") and "ms instead of as they are" in str(decision)
     assert found.offsets == pytest.approx([late, 0, 0], abs=0.3 * GAP)
     true = true_tracks(surface, card, 0.5 + 0.8 * np.maximum(0, found.times - still * GAP))
@@ -542,7 +544,7 @@ def followed(films: list[CameraFilm], monkeypatch: pytest.MonkeyPatch):
     def decide(likeness: Callable[[float], float]) -> list[float]:
         by: list[float] = []
 
-        def both_ways(task, offsets, name):
+        def both_ways(task, offsets, again):
             by.append(offsets[0] / GAP)
             left_out = CrossValidation()
             for n in range(8):
@@ -622,9 +624,9 @@ def test_clocks_that_are_known_stay(
     )
     asked, both_ways = [], _Task.both_ways
 
-    def spied(task: _Task, offsets: np.ndarray, name: str) -> _Following:
+    def spied(task: _Task, offsets: np.ndarray, again: int) -> _Following:
         asked.append(offsets / GAP)
-        return both_ways(task, offsets, name)
+        return both_ways(task, offsets, again)
 
     monkeypatch.setattr(_Task, "both_ways", spied)
     follow_both_ways(Graph(surface), films, 0.5)
