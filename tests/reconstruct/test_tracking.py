@@ -328,6 +328,20 @@ def test_what_turns_back_between_the_moments_of_a_long_clip_is_followed(
     assert np.median(np.linalg.norm(found.xyz - true, axis=-1)) < 0.01 and found.lost.mean() < 0.4
 
 
+@pytest.mark.full
+def test_twelve_seconds_are_followed_as_well_as_one(tmp_path: Path) -> None:
+    """There and back six times, eight pictures a second."""
+    surface, card = on_cards()
+    turns = np.abs((np.arange(97) + 4) % 16 - 8) / 8
+    found = follow_both_ways(Graph(surface), filmed(tmp_path, turns), 0.0)[0]
+    true = true_tracks(surface, card, turns)
+    errors = np.linalg.norm(found.xyz - true, axis=-1).reshape(-1, len(surface))[1:].reshape(12, -1)
+    assert (np.median(errors, axis=1) < 0.1 * SPACING).all() and (
+        np.quantile(errors, 0.9, axis=1) < 0.01
+    ).all()
+    assert errors[-2:].mean() < 1.1 * errors[:2].mean() and not found.lost.any()
+
+
 class Remembers:
     """A method of flow that says that nothing moves, and remembers what it was shown."""
 
