@@ -56,7 +56,8 @@ def sure_clocks(run_dir: Path) -> frozenset[str]:
     heard = {n for n, clock in clocks.items() if _heard(clock)}
 
     def agree(pair: Mapping[str, Any]) -> bool:
-        return pair["sharp"] and not pair["shifted"] and pair["std_s"] <= SURE_S
+        # Runs of an earlier version do not say whether a pair is shifted.
+        return pair["sharp"] and pair.get("shifted") is False and pair["std_s"] <= SURE_S
 
     pairs = [{pair["first"], pair["second"]} for pair in checked.get("pairs", ()) if agree(pair)]
     return frozenset[str]().union(*(pair for pair in pairs if pair <= heard))

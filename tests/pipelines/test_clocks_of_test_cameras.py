@@ -45,6 +45,7 @@ SEEN = {"first": "cam0", "second": "cam1", "std_s": 2e-3, "sharp": True, "shifte
         (Clock(0.1, 0.0, 1e-4, "audio"), {"std_s": 8e-3}, False),
         (Clock(0.1, 0.0, 1e-4, "audio"), {"sharp": False}, False),
         (Clock(0.1, 0.0, 1e-4, "audio"), {"shifted": True}, False),  # sound lags behind its pictures
+        (Clock(0.1, 0.0, 1e-4, "audio"), {"shifted": None}, False),  # of an earlier version
         (Clock(0.1, 0.0, 1e-4, "audio"), {"first": "cam2"}, False),  # beside one of which nothing is known
     ],
 )
