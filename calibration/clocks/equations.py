@@ -43,6 +43,10 @@ class Clock:
     confidence: float = 1.0
     basis: str = ""
 
+    def heard_within(self, std_s: float) -> bool:
+        """Whether sound gave it with such a standard deviation at most, or it is the one to which all others are."""
+        return self.method == "reference" or (self.method == "audio" and self.std_s <= std_s)
+
     @overload
     def true_time(self, file_time_s: float) -> float: ...
 

@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from devrf.calibration.clocks.epipolar_motion import TimedPictures, accepted, clip_flow, epipolar_motion_delay
-from devrf.calibration.clocks.epipolar_tracks import TrackFinder, track_delay
+from devrf.calibration.clocks.epipolar_tracks import TrackDelay, TrackFinder, track_delay
 from devrf.calibration.clocks.equations import Clock, ClockSolution, Equation, Loop, consistent, loops, solve
+from devrf.calibration.clocks.motion import MotionDelay
 from devrf.capture.system.cores import usable_cores
 from devrf.capture.system.progress import Progress, no_progress
 
@@ -38,6 +39,8 @@ BETTER = 0.5  # geometry replaces a clock only where its standard deviation is a
 # What a guess by motion energies is good for, in its own standard deviations and at least (docs/accuracy.md)
 GUESS_SIGMAS, GUESS_STD_S = 2.0, 0.1
 
+Method = Literal["tracks", "planes"]
+
 
 @dataclass(frozen=True)
 class PairCheck:
@@ -55,7 +58,7 @@ class PairCheck:
 
     first: str
     second: str
-    by: Literal["tracks", "planes"]
+    by: Method
     offset_s: float
     std_s: float
     sharp: bool
@@ -130,9 +133,7 @@ def check_clocks(
 
 
 def _heard_surely(clock: Clock) -> bool:
-    return clock.method == "reference" or (
-        clock.method == "audio" and clock.std_s <= SURE_S and not _guessed(clock)
-    )
+    return clock.heard_within(SURE_S) and not _guessed(clock)
 
 
 def _once_each(names: Sequence[str], known: Collection[str]) -> list[tuple[str, str]]:
@@ -279,11 +280,7 @@ class _Work:
         found = epipolar_motion_delay(self.flows[a], self.flows[b])
         if found is None or not accepted(found):
             return None
-        sharp = found.std_s <= 2 * FLAT_FRAMES * self.step_s(a, b)  # half a frame is its floor
-        shifted = _shifted(found.delay_s, found.std_s, self.step_s(a, b))
-        return PairCheck(
-            a, b, "planes", found.delay_s, found.std_s, sharp, shifted, found.lags_s, found.values
-        )
+        return self._pair((a, b), "planes", found, found.values, 2 * FLAT_FRAMES)  # half a frame is its floor
 
     def wide_search(self, a: str, b: str, planes: PairCheck | None, unsure_s: float) -> PairCheck | None:
         """By tracks near what the clocks say, and near what the planes say where that is elsewhere."""
@@ -308,11 +305,20 @@ class _Work:
         found = track_delay(self.finders[a], self.finders[b], moments, around_s, search_s)
         if found is None:
             return None
-        sharp = found.std_s <= FLAT_FRAMES * self.step_s(a, b)
-        shifted = _shifted(found.delay_s, found.std_s, self.step_s(a, b))
-        return PairCheck(
-            a, b, "tracks", found.delay_s, found.std_s, sharp, shifted, found.lags_s, found.error_px
-        )
+        return self._pair((a, b), "tracks", found, found.error_px, FLAT_FRAMES)
+
+    def _pair(
+        self,
+        pair: tuple[str, str],
+        by: Method,
+        found: MotionDelay | TrackDelay,
+        values: Float[np.ndarray, " n"],
+        flat_frames: float,
+    ) -> PairCheck:
+        step_s = self.step_s(*pair)
+        sharp = found.std_s <= flat_frames * step_s
+        shifted = _shifted(found.delay_s, found.std_s, step_s)
+        return PairCheck(*pair, by, found.delay_s, found.std_s, sharp, shifted, found.lags_s, values)
 
     def _moments_s(self, count: int, margin_s: float) -> list[float]:
         """Times that share out evenly what moves in all cameras; the same for all, so that points are found once."""

@@ -53,7 +53,7 @@ def sure_clocks(run_dir: Path) -> frozenset[str]:
     """
     checked = read_object(run_dir / "scene" / "clock_check.json")
     clocks = _clocks(checked.get("cameras", {}))
-    heard = {n for n, clock in clocks.items() if _heard(clock)}
+    heard = {name for name, clock in clocks.items() if clock.heard_within(SURE_S)}
 
     def agree(pair: Mapping[str, Any]) -> bool:
         # Runs of an earlier version do not say whether a pair is shifted.
@@ -61,10 +61,6 @@ def sure_clocks(run_dir: Path) -> frozenset[str]:
 
     pairs = [{pair["first"], pair["second"]} for pair in checked.get("pairs", ()) if agree(pair)]
     return frozenset[str]().union(*(pair for pair in pairs if pair <= heard))
-
-
-def _heard(clock: Clock) -> bool:
-    return clock.method == "reference" or (clock.method == "audio" and clock.std_s <= SURE_S)
 
 
 def read_contradictions(run_dir: Path) -> dict[str | None, float | None]:

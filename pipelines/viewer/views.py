@@ -69,10 +69,8 @@ def follow(page: viser.CameraHandle, leader: viser.CameraHandle) -> None:
 
 def apart(page: viser.CameraHandle, other: viser.CameraHandle) -> bool:
     """Whether two pages look from elsewhere, or into another direction."""
-    return not (
-        np.allclose(page.position, other.position, atol=SAME)
-        and np.allclose(np.abs(page.wxyz @ other.wxyz), 1, atol=SAME)
-    )
+    alike = np.abs(page.wxyz @ other.wxyz)  # a quaternion and its negative are one rotation
+    return not (np.allclose(page.position, other.position, atol=SAME) and np.isclose(alike, 1, atol=SAME))
 
 
 def middle(picture: np.ndarray, share: float) -> np.ndarray:

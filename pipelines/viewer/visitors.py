@@ -39,9 +39,8 @@ class Visitors:
         """Let the others follow a page that says that it was moved; False: another one leads, and it is led back."""
         now, leader = time.monotonic(), self.leading()
         if leader is not None and leader is not client and now - self._led < LEAD_S:
-            if apart(
-                client.camera, leader.camera
-            ):  # what it said of itself came between: it would stay there
+            # Else it would stay where it was before it heard of the leader.
+            if apart(client.camera, leader.camera):
                 self.turn([client], lambda page: follow(page, leader.camera))
             return False
         self.leader, self._led = client, now

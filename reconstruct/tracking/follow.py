@@ -123,17 +123,16 @@ class _Task:
 
     def both_ways(self, offsets: Float[np.ndarray, " c"], again: int) -> _Following:
         """From the moment of rest to the last and to the first; for how many times again."""
-        name = f"{again} times again" if again else "as said"
-        there = self._one_way(1, offsets, f"{name}, forward", again)
-        here = self._one_way(-1, offsets, f"{name}, back", again)
+        there, here = (self._one_way(sign, offsets, again) for sign in (1, -1))
         xyz = np.stack([x.astype(np.float32) for x in (*here.past.xyz[:0:-1], *there.past.xyz)])
         lost = np.stack([self.graph.points_of(x) for x in (*here.past.lost[:0:-1], *there.past.lost)])
         seen = {1: there.offsets, -1: here.offsets}
         left_out = here.left_out.with_those_of(there.left_out)
         return _Following(SurfaceTracks(self.times, xyz, lost, offsets), seen, left_out)
 
-    def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], run: str, again: int) -> Follower:
+    def _one_way(self, sign: int, offsets: Float[np.ndarray, " c"], again: int) -> Follower:
         """To the last moment, or with a negative sign to the first."""
+        run = f"{f'{again} times again' if again else 'as said'}, {'forward' if sign > 0 else 'back'}"
         films, times, done = self.films, self.times[self.before :], 0
         if sign < 0:
             films, times = [film.backwards() for film in films], -self.times[self.before :: -1]

@@ -336,9 +336,8 @@ def test_twelve_seconds_are_followed_as_well_as_one(tmp_path: Path) -> None:
     found = follow_both_ways(Graph(surface), filmed(tmp_path, turns), 0.0)[0]
     true = true_tracks(surface, card, turns)
     errors = np.linalg.norm(found.xyz - true, axis=-1).reshape(-1, len(surface))[1:].reshape(12, -1)
-    assert (np.median(errors, axis=1) < 0.1 * SPACING).all() and (
-        np.quantile(errors, 0.9, axis=1) < 0.01
-    ).all()
+    assert (np.median(errors, axis=1) < 0.1 * SPACING).all()
+    assert (np.quantile(errors, 0.9, axis=1) < 0.01).all()
     assert errors[-2:].mean() < 1.1 * errors[:2].mean() and not found.lost.any()
 
 
