@@ -1,7 +1,7 @@
 """A simulated session that goes on for longer, its motion there and back, against itself as it is.
 
     devrf-pipeline simulate SESSION --scene sheet
-    python -m benchmarks.long_clips SESSION OUT --seconds 60     # from the repository's root; more than an hour on a CPU
+    python -m benchmarks.long_clips SESSION OUT --seconds 60     # in the repository; an hour on a CPU
 
 Writes what all cameras film at the same time as OUT/once, and there and back for so long as OUT/long, with claps at
 times that do not repeat; runs both, and prints by how much each second of the long one is better where it moves.
